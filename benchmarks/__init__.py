@@ -1,1 +1,1 @@
-"""Figures of the project: python -m benchmarks [--only TOPIC] [--json FILE]."""
+"""The benchmarks measure the project's figures: python -m benchmarks [--only TOPIC] [--json FILE]."""

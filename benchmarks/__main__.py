@@ -1,12 +1,13 @@
-"""The benchmarks: one page with what a change can move, and by name the figures of single methods. The papers'
-figures are drawn by python -m benchmarks.papers.
+"""The benchmarks print one page of figures that a change can affect, and by name those of single methods.
+
+The papers' figures are drawn by python -m benchmarks.papers.
 
     python -m benchmarks [--only TOPIC,...] [--base COMMIT] [--scale S] [--seed N] [--json FILE]
 
-Beside every figure stands, in parentheses, its value at the baseline: that of a file which --json wrote, or with --base
-that of a commit, whose checkout runs on this machine, its closed loops in turn with ours. A triangle marks bytes,
+Every figure is followed, in parentheses, by its value at the baseline. The baseline is a file which --json wrote or,
+with --base, a commit, whose checkout runs on this machine, its closed loops in turn with ours. A triangle marks bytes,
 instructions and operations that are 2 % above the baseline, and times that are 10 % above it if both were measured on
-one machine. Times of another machine are carried to this one by the reference kernel.
+one machine. The reference kernel converts times of another machine.
 
 The default scale is that of a page in some minutes: draws of QPs, controllers and starts are samples that the seed
 chooses, which is the number of commits. At scale 1 they are complete, at 0 every topic has one case, which shows that
@@ -36,7 +37,7 @@ SCALE = 0.2
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the parser of the command line."""
     found = argparse.ArgumentParser("benchmarks", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     more = ", ".join(name for name in TOPICS if name not in PAGE)
     found.add_argument("--only", metavar="TOPIC", help=f"some of {', '.join(PAGE)};\nnot on the page: {more}; all")
@@ -47,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def add_page_options(found: argparse.ArgumentParser) -> None:
-    """What page() reads besides the topics."""
+    """Add the options of page() besides the topics."""
     baseline = found.add_mutually_exclusive_group()
     baseline.add_argument("--base", metavar="COMMIT", help="compare with this commit, run in turn")
     baseline.add_argument("--baseline", metavar="FILE", type=Path, default=COMMITTED, help="benchmarks/baseline.json")
@@ -57,7 +58,7 @@ def add_page_options(found: argparse.ArgumentParser) -> None:
 
 
 def main() -> None:
-    """Print the page, or what the options ask for."""
+    """Print the page, or the results of the given options."""
     command = parser()
     options = command.parse_args()
     if options.replay:
@@ -70,7 +71,7 @@ def main() -> None:
 
 
 def page(command: argparse.ArgumentParser, options: argparse.Namespace) -> Report:
-    """Measure and print the topics that are asked for; the command ends where it cannot."""
+    """Measure and print the requested topics; the command ends where it cannot."""
     if not 0 <= options.scale <= 1:
         command.error(f"--scale {options.scale:g}: expected a share, 0 to 1")
     if not options.baseline.is_file():
@@ -86,7 +87,7 @@ def page(command: argparse.ArgumentParser, options: argparse.Namespace) -> Repor
 
 
 def measure(options: argparse.Namespace, names: list[str], base: Base | None, folder: Path) -> Report:
-    """Run the topics and print each as soon as it is there."""
+    """Run the topics and print each as soon as it is measured."""
     start, run = time.perf_counter(), Run(options.scale, options.seed)
     if base is None:
         baseline = Baseline.of(options.baseline, options.baseline.name)
@@ -106,7 +107,7 @@ def measure(options: argparse.Namespace, names: list[str], base: Base | None, fo
 
 
 def figures_of(base: Base, names: list[str], run: Run, folder: Path) -> tuple[Baseline, Run]:
-    """The baseline of a commit, and the run with its programs, if there are times to compare."""
+    """Return the baseline of a commit, and the run with its programs, if there are times to compare."""
     others, label = [name for name in names if name != "times"], f"commit {base.name}, in turn"
     baseline = Baseline.empty(label)
     if others:
@@ -121,7 +122,7 @@ def figures_of(base: Base, names: list[str], run: Run, folder: Path) -> tuple[Ba
 
 
 def verdict(report: Report) -> str:
-    """What grew and what is beyond its limit."""
+    """Return the figures that grew and those beyond their limits."""
     grown, missed = report.grown(), report.missed()
     lines = [f"{len(grown)} figures grew, {len(missed)} are beyond their limits"]
     lines += [f"grown:\n{listed(grown)}"] if grown else []

@@ -1,9 +1,9 @@
-"""Speed: python -m benchmarks.speed [--base COMMIT | --baseline FILE] [--scale S] [--json FILE] [--table FILE]
+"""The command measures speed: python -m benchmarks.speed [--base COMMIT | --baseline FILE] [--scale S] [--table FILE].
 
-Times and instructions of a sample in closed loops of nine problems: portable C as build() compiles it for this
-processor, portable C for any processor, and C for the target of this machine. ``--base``: the loops of that commit run
-in turn with ours, and its figures stand in parentheses. ``--table`` writes them in place of the table of a Markdown
-file (docs/performance.md).
+Times and instructions of a sample are those of closed loops of nine problems: portable C as build() compiles it for
+this processor, portable C for any processor, and C for the target of this machine. ``--base``: the loops of that commit
+run in turn with ours, and its figures follow in parentheses. ``--json`` writes the figures; ``--table`` replaces the
+table of a Markdown file (docs/performance.md) by the times.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ HEAD = (
 
 
 def table(report: Report) -> str:
-    """The times as a Markdown table."""
+    """Return the times as a Markdown table."""
     found = {record.place: record.value for record in report.records}
 
     def time(loop: str, form: str) -> str:
@@ -59,12 +59,12 @@ def table(report: Report) -> str:
 
 
 def digits(value: float) -> str:
-    """Two digits, and all before the point."""
+    """Return two digits, and all before the point."""
     return f"{value:.0f}" if value >= 10 else f"{value:.2g}"
 
 
 def main() -> None:
-    """The command line: that of the page, whose topics are times and instructions, and the table."""
+    """Run the command line: the page's options for times and instructions, and the table."""
     command = argparse.ArgumentParser(
         "benchmarks.speed", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

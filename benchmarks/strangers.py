@@ -1,8 +1,8 @@
-"""Tables of strangers: python -m benchmarks.strangers [--table FILE] [--remedies FILE] [--choices FILE]
+"""The command writes tables: python -m benchmarks.strangers [--table FILE] [--remedies FILE] [--choices FILE].
 
-``--table`` writes the loops with and without iterations and relaxation, and ``--remedies`` what advice changes, in the
-place of tables of a Markdown file (docs/strangers.md); ``--choices`` writes what the coach chooses for every stranger
-(docs/strangers.md). Their figures are topics of python -m benchmarks.
+``--table``, ``--remedies`` and ``--choices`` replace tables of a Markdown file (docs/strangers.md): the loops with and
+without iterations and relaxation, the effects of advice, the coach's choices. The figures are topics of python -m
+benchmarks.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from benchmarks.lib import campaigns, strangers
 from benchmarks.lib.report import replace_table
 from verification.strangers import remedies
 
-#: Word of a table, its first column, and what makes it.
+#: Word of a table, its first column, and the function that makes it.
 TABLES = {
     "table": ("problem", strangers.table),
     "remedies": ("failure", remedies.table),
@@ -23,7 +23,7 @@ TABLES = {
 
 
 def main() -> None:
-    """The command line."""
+    """Run the command line."""
     command = argparse.ArgumentParser("benchmarks.strangers", description=__doc__)
     for word, (column, _) in TABLES.items():
         command.add_argument(

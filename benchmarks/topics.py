@@ -1,4 +1,4 @@
-"""The topics of the benchmarks by name: first those of the page, then the figures of single methods."""
+"""The topics of the benchmarks have names: first those of the page, then the figures of single methods."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ TOPICS: dict[str, Topic] = {
     "firmware/riscv": riscv.cores,
 }
 
-#: Topic -> programs without which it cannot run. Topics of the page leave out what needs a missing program.
+#: Topic -> programs without which it cannot run. Topics of the page leave out figures that need a missing program.
 NEEDS = {
     "firmware/boards": ("arm-none-eabi-gcc", "qemu-system-arm"),
     "firmware/bits": ("arm-none-eabi-gcc", "qemu-system-arm"),
@@ -70,8 +70,9 @@ NEEDS = {
 
 
 def chosen(only: str | None) -> list[str]:
-    """Names of the topics that ``only`` lists; a name without its part means all parts; None: those of the page; "all":
-    all whose programs are here.
+    """Return the names of the topics that ``only`` lists.
+
+    A name without its part means all parts. None means those of the page, "all" all whose programs are here.
 
     Raises:
         RefusedError: there is no such topic, or a program that it needs is missing.
@@ -93,5 +94,5 @@ def chosen(only: str | None) -> list[str]:
 
 
 def _missing(name: str) -> list[str]:
-    """Programs that a topic needs and that are not here."""
+    """Return the programs that a topic needs and that are not installed."""
     return [program for program in NEEDS.get(name, ()) if shutil.which(program) is None]

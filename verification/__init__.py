@@ -1,1 +1,1 @@
-"""What tests and benchmarks share; it imports neither of them."""
+"""Tests and benchmarks share this package, which imports neither of them."""

@@ -1,4 +1,4 @@
-"""Print the table of contracts, or write the file of the components of samples anew.
+"""The command prints the table of contracts, or writes the file of the components of samples.
 
 python -m verification --table    of every component the samples that each contract holds: in `make test`, and in all
 python -m verification --write    verification/contracts/components.json, after a change of samples or of defaults
@@ -33,7 +33,7 @@ def write() -> None:
 
 
 def main() -> None:
-    """Do what the command line asks for."""
+    """Print the table or write the file, as the command line says."""
     parser = argparse.ArgumentParser(prog="python -m verification", description=__doc__.split("\n")[0])
     parser.add_argument("--table", action="store_true", help="print contracts by components")
     parser.add_argument("--write", action="store_true", help="write the components of the samples anew")

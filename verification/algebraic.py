@@ -1,7 +1,7 @@
-"""Models with algebraic equations, and their closed loops: a column with bubble points, a neutralisation, a crane in
-Cartesian coordinates, a braking car, a battery that delivers power.
+"""Five models have algebraic equations, and closed loops.
 
-The plant of a loop is the model as it is stated, by IDAS, with other parameters and noise on what is measured.
+They are a column with bubble points, a neutralisation, a crane in Cartesian coordinates, a braking car and a battery
+that delivers power. IDAS simulates the model as it is stated, with other parameters and measurement noise.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ Array = NDArray[Any]
 
 
 def neutralisation() -> OCP:
-    """The pH of a stream of acid, buffer and base in reaction invariants (Henson and Seborg, IEEE Trans. Control Syst.
-    Technol. 2, 1994). Invariants in mmol/l, time in s."""
+    """State the pH of a stream of acid, buffer and base in reaction invariants.
+
+    Invariants are in mmol/l, time is in s (Henson and Seborg, IEEE Trans. Control Syst. Technol. 2, 1994).
+    """
     ocp = OCP("neutralisation", T=300.0, N=20)
     Wa, Wb = ocp.state("Wa", initial=-0.432, unit="mmol/l"), ocp.state("Wb", initial=0.528, unit="mmol/l")
     h = ocp.state("h", initial=14.0, unit="cm")
@@ -61,8 +63,10 @@ def neutralisation() -> OCP:
 
 
 def car() -> OCP:
-    """A braking car: loads of the axles follow from the forces of the tyres, which do not grow in proportion to them;
-    wheels are fast."""
+    """State a braking car with fast wheels.
+
+    The loads of the axles follow from the tyre forces, which do not grow in proportion to the loads.
+    """
     ocp = OCP("car", T=1.0, N=20)
     v = ocp.state("v", initial=30.0, unit="m/s")
     w = ocp.state("w", size=2, initial=[29.5, 29.5], unit="m/s")  # speeds of the wheels at their circumference
@@ -83,8 +87,10 @@ def car() -> OCP:
 
 
 def battery() -> OCP:
-    """A pack that delivers power: its current follows from P = (U - R I) I, of whose two solutions the smaller one is
-    meant; it warms up. Time in min."""
+    """State a pack that delivers power and warms up. Time is in min.
+
+    The current follows from P = (U - R I) I, of whose two solutions the smaller one is meant.
+    """
     ocp = OCP("battery", T=20.0, N=20, time_unit="min")
     q, vp = ocp.state("q", initial=0.8), ocp.state("vp", unit="V")
     T = ocp.state("T", initial=30.0, unit="degC")
@@ -121,7 +127,7 @@ PROBLEMS = {
 
 
 class Plant:
-    """The model as it is stated, with derivatives that are not given and algebraic variables, by IDAS."""
+    """IDAS simulates the model as it is stated, with implicit derivatives and algebraic variables."""
 
     def __init__(self, ocp: OCP) -> None:
         self.problem = classify(ocp)
@@ -141,7 +147,7 @@ class Plant:
         self._z = self._given
 
     def step(self, x: Array, u: Array, p: Array) -> Array:
-        """The state one interval later."""
+        """Return the state one interval later."""
         found = self._run(x0=x, z0=self._z, p=np.concatenate([u, p]))
         self._z = np.asarray(found["zf"], dtype=float).ravel()
         return np.asarray(found["xf"], dtype=float).ravel()
@@ -157,7 +163,7 @@ ROUTES = {
 
 
 def residual(ocp: OCP, x: Array, z: Array, u: Array) -> float:
-    """Largest residual of the algebraic equations as they are stated, relative to the sum of |dg/dz_i z_i|."""
+    """Return the largest residual of the algebraic equations as stated, relative to the sum of |dg/dz_i z_i|."""
     symbols = [ocp.x, ocp.z, ocp.u, ocp.p]
     g = ca.vertcat(*(e.expression for e in ocp.equations))
     p = np.array([v for d in ocp.parameters for v in d.signal.value])

@@ -1,4 +1,4 @@
-"""Controllers of many problems, compiled side by side."""
+"""Controllers of many problems are compiled side by side."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from nmpc_codegen.runtime.build import load
 
 
 def build_all(wanted: Iterable[tuple[OCP, Options]], profile: str = "fast") -> list[Controller]:
-    """Generate one after the other, compile two at a time.
+    """Generate packages one after the other, and compile two at a time.
 
-    CasADi counts references to its objects without locks: all its calls stay in this thread.
+    CasADi counts references to its objects without locks, so that all its calls stay in this thread.
     """
     found: list[Future[Controller]] = []
     with ThreadPoolExecutor(2) as pool:

@@ -1,4 +1,4 @@
-"""Generated C in a shared library: single printed routines, and static functions of complete packages.
+"""Tests call generated C in a shared library: printed routines, and static functions of complete packages.
 
 All code is compiled with the flags of the profile "test"; every warning that the project forbids, and that the compiler
 knows, is an error.
@@ -34,7 +34,7 @@ SCALARS = {"double": np.float64, "single": np.float32}
 
 @functools.cache
 def build_directory() -> tempfile.TemporaryDirectory[str]:
-    """One temporary directory per session; removed at exit."""
+    """Return the temporary directory of this session, which is removed at exit."""
     return tempfile.TemporaryDirectory(prefix="c_harness_")
 
 
@@ -50,7 +50,7 @@ def shared_library(files: Mapping[str, str], main: str, warnings: Sequence[str] 
 
 
 class Routines:
-    """Printed routines, called with NumPy vectors. Routines with equal names are distinguished by their key."""
+    """Tests call printed routines with NumPy vectors; a key distinguishes routines with equal names."""
 
     def __init__(self, routines: Mapping[str, Routine], precision: str = "double") -> None:
         self.routines = dict(routines)
@@ -72,7 +72,7 @@ class Routines:
         self.library = shared_library({"routines.c": "\n".join(texts) + "\n"}, "routines.c", UNPRUNED)
 
     def __call__(self, key: str, *inputs: object) -> list[np.ndarray]:
-        """Outputs in their shapes; entries that the routine does not write are zero."""
+        """Return the outputs in their shapes; entries that the routine does not write are zero."""
         routine = self.routines[key]
         arguments = []
         for port, value in zip(routine.inputs, inputs, strict=True):
@@ -92,7 +92,7 @@ class Routines:
 
 
 def memory_layout(module: CModule) -> np.dtype[Any]:
-    """NumPy view of the solver struct, with its layout by NumPy's rendering of the C rules."""
+    """Return the NumPy type of the solver struct, by NumPy's implementation of the C layout rules."""
     types: dict[str, Any] = {"real": SCALARS[module.precision], "int32": np.int32}
     for struct in module.structs:
         members = [(f.name, np.dtype(types[f.ctype]), f.padded) for f in struct.fields]
@@ -102,12 +102,15 @@ def memory_layout(module: CModule) -> np.dtype[Any]:
 
 
 def module_of(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
-    """The pipeline up to the CModule."""
+    """Run the pipeline up to the CModule."""
     return lower(model_of(*read(ocp, options)), name)
 
 
 class Package:
-    """A package with its static functions: ``call(f)`` runs f(s), ``self["node"]`` is the view of a member of s."""
+    """A package gives access to its static functions.
+
+    ``call(f)`` runs f(s), ``self["node"]`` is the view of a member of s.
+    """
 
     def __init__(self, module: CModule, functions: Sequence[str] = (), sources: Sources | None = None) -> None:
         self.module = module
@@ -131,7 +134,7 @@ class Package:
         return ctypes.c_void_p(self.memory.ctypes.data)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A member; one of size 0, which does not exist, is an empty array."""
+        """Return a member; a member of size 0, which does not exist, is an empty array."""
         return self.memory[name] if name in self.memory.dtype.names else np.zeros(0)
 
     def call(self, function: str) -> None:

@@ -1,4 +1,4 @@
-"""Closed loops timed in C, because a call from Python takes as long as the feedback phase of the crane."""
+"""Closed loops are timed in C, because a call from Python takes as long as the feedback phase of the crane."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Vector = Sequence[float] | NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Scenario:
-    """A closed loop from x0 with samples of dt (s), the controller's model as plant.
+    """A scenario is a closed loop from x0 with samples of dt (s) and the controller's model as plant.
 
     At every sample n with n % period == 0, in this order: amplitude U(-1, 1) is added to all states; set point
     n / period (cyclically) becomes the reference (y, y_N) of all nodes; the plant runs for ``pushes`` samples under
@@ -44,7 +44,7 @@ class Scenario:
     pushes: int = 0
 
     def arguments(self) -> list[str]:
-        """Command line of closed_loop.c, from dt onwards."""
+        """Return the command line of closed_loop.c, from dt onwards."""
         numbers = [self.dt, self.period, self.amplitude, self.restart, *self.x0, len(self.set_points)]
         numbers += [value for point in self.set_points for part in point for value in part]
         numbers += [self.pushes, *(self.push if self.pushes else ())]
@@ -54,7 +54,7 @@ class Scenario:
 def disturbed(
     scenario: Scenario, x: np.ndarray, random: np.random.Generator, integrate: Callable[..., np.ndarray]
 ) -> np.ndarray:
-    """What a scenario does to the state at the first sample of a period, in Python; set points are the caller's."""
+    """Apply what a scenario does to the state at the first sample of a period; the caller sets the set points."""
     if scenario.restart:
         x = np.array(scenario.x0, dtype=float) * (1 + scenario.restart * random.uniform(-1, 1, x.size))
     x = x + scenario.amplitude * random.uniform(-1, 1, x.size)
@@ -65,10 +65,10 @@ def disturbed(
 
 @dataclass(frozen=True)
 class Timing:
-    """Minimum and median over the runs of the median over the steps, us; failures and QP iterations per step.
+    """A timing has minimum and median over the runs of the median over the steps, us, and failures and QP iterations.
 
-    ``worst``: largest total of a step, where the total of a step is its minimum over the runs; the runs are all alike,
-    so this leaves out what the operating system did in one of them.
+    ``worst``: largest total of a step, where the total of a step is its minimum over the runs. All runs are alike, so
+    that this leaves out delays by the operating system in one of them.
     """
 
     total: float
@@ -96,7 +96,7 @@ def compile_driver(
 
 
 def member_path(header: str, member: str) -> str:
-    """Access path, in the solver struct, of a member that exactly one struct has: "stats.qp_iterations".
+    """Return the access path, in the solver struct, of a member that exactly one struct has: "stats.qp_iterations".
 
     Packages of other commits may store it in a different struct.
     """
@@ -114,13 +114,13 @@ def member_path(header: str, member: str) -> str:
 
 
 def _owner(structs: Mapping[str, str], declaration: str) -> str:
-    """The struct that declares the member; exactly one is expected."""
+    """Return the struct that declares the member; exactly one is expected."""
     (owner,) = (name for name, text in structs.items() if re.search(rf"^\s*{declaration};", text, re.M))
     return owner
 
 
 def pinned_core() -> set[int]:
-    """The core to which all timed processes are pinned."""
+    """Return the core to which all timed processes are pinned."""
     return {max(os.sched_getaffinity(0))}
 
 
@@ -136,7 +136,7 @@ def run_driver(program: Path, scenario: Scenario, *, runs: int, steps: int) -> T
 
 
 def run_program(program: Path, arguments: Sequence[str], *, runs: int, steps: int) -> Timing:
-    """Time a compiled driver with the arguments of a scenario; its process is pinned to one core."""
+    """Time a compiled driver with the arguments of a scenario, pinned to one core."""
     core = pinned_core()
     command = [str(program), str(runs), str(steps), *arguments]
     text = subprocess.run(

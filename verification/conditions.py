@@ -1,6 +1,7 @@
-"""C parts and conditions that the samples reach: those of `#if`, and those of a plain `if` that the exporter decides.
+"""The samples are compared with the C parts and the conditions that they reach.
 
-A plain `if` counts where an operand consists of sizes and features alone, as in ``if (NE > 0 && row_is_coupled(m)) {``.
+Conditions are those of `#if`, and those of a plain `if` that the exporter decides. A plain `if` counts where an operand
+consists of sizes and features only, as in ``if (NE > 0 && row_is_coupled(m)) {``.
 """
 
 from __future__ import annotations
@@ -28,18 +29,19 @@ _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')
 Values = dict[tuple[str, int], set[bool]]
 
 
-#: Folders whose parts belong to no controller: packages of derivatives, programs for a target. Their tests cover them.
+#: Folders whose parts belong to no controller but to packages of derivatives and to programs for a target, which have
+#: tests of their own.
 OTHERS = ("derivatives", "firmware")
 
 
 def all_parts() -> set[str]:
-    """Every C part of controllers, relative to the templates."""
+    """Return every C part of controllers, relative to the templates."""
     found = (path.relative_to(template_directory()) for path in template_directory().rglob("*.c"))
     return {str(path) for path in found if path.parts[0] not in OTHERS}
 
 
 def conditions(part: str) -> list[tuple[int, str]]:
-    """Line number and text of every condition of a part that the exporter decides."""
+    """Return line number and text of every condition of a part that the exporter decides."""
     found = []
     for number, line in enumerate((template_directory() / part).read_text(encoding="utf-8").splitlines(), 1):
         directive = _LINE.match(line)
@@ -51,7 +53,7 @@ def conditions(part: str) -> list[tuple[int, str]]:
 
 
 def _decided(line: str) -> str:
-    """The operands of a plain `if` that consist of sizes and features."""
+    """Return the operands of a plain `if` that consist of sizes and features."""
     plain = _PLAIN.match(line)
     operands = _conjuncts(expression(plain[1])) if plain else []
     texts = (plain[1][operand.start : operand.end] for operand in operands) if plain else ()
@@ -59,14 +61,14 @@ def _decided(line: str) -> str:
 
 
 def _conjuncts(found: Expression) -> list[Expression]:
-    """The operands of && in a condition."""
+    """Return the operands of && in a condition."""
     if found.word != "&&":
         return [found]
     return [conjunct for operand in found.operands for conjunct in _conjuncts(operand)]
 
 
 def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
-    """Parts used by the modules, and the observed values of the conditions."""
+    """Return the parts used by the modules, and the observed values of the conditions."""
     parts: set[str] = set()
     values: Values = defaultdict(set)
     for module in modules:
@@ -83,7 +85,7 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
 
 
 def covering(modules: Mapping[str, CModule]) -> list[str]:
-    """Names of a few modules that together reach every part and every value of a condition that all of them reach."""
+    """Choose a few modules that together reach every part and condition value that all modules reach."""
     found: dict[str, set[object]] = {}
     for name, module in modules.items():
         parts, values = reached([module])
@@ -96,7 +98,7 @@ def covering(modules: Mapping[str, CModule]) -> list[str]:
 
 
 def gaps(modules: Iterable[CModule]) -> list[str]:
-    """Gaps of the modules: parts that none uses, conditions that are never true or never false."""
+    """Return the parts that no module uses, and the conditions that are never true or never false."""
     parts, values = reached(modules)
     missing = [f"{part}: in no sample" for part in sorted(all_parts() - parts)]
     for part in sorted(parts):
@@ -109,14 +111,14 @@ def gaps(modules: Iterable[CModule]) -> list[str]:
 
 
 def _walk(part: str, sizes: Mapping[str, int]) -> Iterator[tuple[str, int, bool]]:
-    """(part, line, value) of every resolved condition; line 0: the part itself is used."""
+    """Yield (part, line, value) of every resolved condition; line 0: the part itself is used."""
     yield part, 0, True
     stack: list[tuple[bool, bool]] = []  # for every open #if: this branch is taken, one branch has been taken
     for number, line in enumerate((template_directory() / part).read_text(encoding="utf-8").splitlines(), 1):
         found = _LINE.match(line)
         if found is None:
             if all(active for active, _ in stack):
-                with suppress(ValueError):  # a word in capitals that is no size, or no condition at all
+                with suppress(ValueError):  # a word in capitals that is no size, or no condition
                     yield part, number, evaluate(_decided(line), sizes)
             continue
         word, text = found.groups()

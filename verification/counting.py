@@ -1,4 +1,4 @@
-"""Operation counts measured at run time: the generated .c compiled as C++ with a counting scalar type (counting.hpp).
+"""Operations are counted at run time: the generated .c is compiled as C++ with a counting scalar type (counting.hpp).
 
 Every count that the compiler states (printed routines, stage products, functions of the components) is compared with
 one run of that function: additions, multiplications, divisions, square roots and calls of math.h.
@@ -40,7 +40,7 @@ ARGUMENTS = {
     "last": "N",
     **dict.fromkeys(("dx", "du", "y", "w", "z"), "w"),
 }
-#: The same of functions in which a parameter is something else.
+#: Arguments of functions in which a parameter has another meaning.
 ARGUMENTS_OF = {
     "terminal_adjoint": {"Q": "s.hessian.Q_N"},
     "condense_terminal_panel": {"Q": "s.hessian.Q_N"},
@@ -62,7 +62,7 @@ BEFORE = {
     "riccati_backward": "for (int k = 0; k < N; k++) { s.riccati.b[k][0] = 1.0; }",
 }
 
-#: Ports of a routine at most.
+#: Largest number of ports of a routine.
 MOST_PORTS = 16
 
 #: (function, stated, counted)
@@ -70,13 +70,13 @@ Mismatch = tuple[str, dict[str, int], dict[str, int]]
 
 
 def count_mismatches(ocp: OCP, options: Options | None = None) -> list[Mismatch]:
-    """Functions of the package of ``ocp`` whose stated count differs from the measured one."""
+    """Return the functions of the package of ``ocp`` whose stated count differs from the measured one."""
     module = lower(model_of(*read(ocp, options)))
     return mismatches(module, text_of(module))
 
 
 def mismatches(module: CModule, sources: Sources, names: Collection[str] | None = None) -> list[Mismatch]:
-    """The same for a lowered package and its text; ``names``: of these functions alone."""
+    """Return the mismatches of a lowered package and its text; ``names`` limits the functions."""
     stated = {
         name: _compared(count)
         for name, count in module.description.report.operations.items()
@@ -94,7 +94,7 @@ def _compared(count: OpCount) -> dict[str, int]:
 
 
 def _call(module: CModule, name: str, unit: str) -> str:
-    """A call of one C function of a unit with valid data."""
+    """Return a call of one C function of a unit with valid data."""
     for routine in module.routines:
         if routine.name == name:
             ports = (*routine.reads, *routine.writes)
@@ -106,20 +106,20 @@ def _call(module: CModule, name: str, unit: str) -> str:
 
 
 def _argument(port: Port, first: int) -> str:
-    """What a port is given: its own part of w."""
+    """Return the argument for a port: its own part of w."""
     if port.whole:
         return "NEWTON"
     return f"(real_t(*)[{port.cols}])(w + {first})" if port.cols else f"w + {first}"
 
 
 def _room(module: CModule) -> int:
-    """Length of the longest vector that a call reads or writes."""
+    """Return the length of the longest vector that a call reads or writes."""
     ports = [port.size for r in module.routines for port in (*r.inputs, *r.outputs)]
     return max(*ports, module.sizes["NZ"], module.sizes.get("LDV", 1))
 
 
 def counting_header(header: str, name: str) -> str:
-    """The header with the counting scalar in place of its real type."""
+    """Return the header with the counting scalar instead of its real type."""
     for ctype in ("double", "float"):
         line = f"typedef {ctype} {name}_real;"
         if header.count(line) == 1:
@@ -157,7 +157,7 @@ def run_program(
     each: Mapping[str, Sequence[str]],
     calls: Mapping[str, str],
 ) -> dict[str, dict[str, int]]:
-    """Counts of the calls in a program with these declarations, that runs ``start`` once and ``each`` before a call.
+    """Count the calls in a program with these declarations, which runs ``start`` once and ``each`` before a call.
 
     PREFIX_ in a statement stands for the upper-case prefix of the package ``name``.
     """

@@ -1,4 +1,4 @@
-"""Digests of everything that the samples and the examples export: python -m verification.digests FILE.
+"""The command writes digests of everything that samples and examples export: python -m verification.digests FILE.
 
 The file of a commit is compared with that of another one: a change that means to change no text changes none of them.
 """
@@ -20,7 +20,7 @@ from verification.samples import IMPLICIT, IN_LANES, LOOPED, SAMPLES
 
 
 def digests() -> Iterator[str]:
-    """SHA-256 and name of every file that the samples, the examples and derivatives of the crane export."""
+    """Yield SHA-256 and name of every file that the samples, the examples and derivatives of the crane export."""
     modules = [importlib.import_module(f"examples.{found.name}") for found in pkgutil.iter_modules(examples.__path__)]
     stated = [(m.__name__, m.build_ocp, getattr(m, "options", Options)()) for m in modules if hasattr(m, "build_ocp")]
     stated += [(sample.name, sample.make, sample.options) for sample in (*SAMPLES, *IN_LANES)]

@@ -1,5 +1,7 @@
-"""Plants whose states are not measured, and what their estimators are compared with: a Kalman filter in covariance
-form, and the estimate from all measurements since the beginning, by IPOPT."""
+"""Estimators are compared with two references on plants whose states are not measured.
+
+The references are a Kalman filter in covariance form, and IPOPT's estimate from all measurements since the beginning.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,12 @@ FINE = 20
 
 @dataclass(frozen=True)
 class Plant:
-    """A model with its measurements, how it moves, and what is believed of its start.
+    """A plant is a model with its measurements, its motion, and the belief about its start.
 
-    ``make``: the OCP and the statement of its estimator; ``truth``, ``guess`` (nx,): initial states, as they are and as
-    they are believed, ``spread`` (nx,) of the first; ``doubt`` (nx,): declared standard deviations of the guess;
-    ``controls``: k -> (nu,); ``scale`` (nx,): errors that count as 1; ``low``, ``high`` (nx,): what the plant
-    does not leave; ``silent``: samples without measurements.
+    ``make``: the OCP and the statement of its estimator; ``truth``, ``guess`` (nx,): true and believed initial states,
+    ``spread`` (nx,) of the true one; ``doubt`` (nx,): declared
+    standard deviations of the guess; ``controls``: k -> (nu,); ``scale`` (nx,): errors that count as 1; ``low``,
+    ``high`` (nx,): limits of the states of the plant; ``silent``: samples without measurements.
     """
 
     make: Callable[[], tuple[OCP, Mapping[str, Any]]]
@@ -48,18 +50,21 @@ class Plant:
     silent: Callable[[int], bool] = lambda k: False
 
     def estimator(self, **changes: Any) -> Estimator:
-        """An estimator of it."""
+        """Return an estimator of the plant."""
         ocp, statement = self.make()
         return Estimator(ocp, **{"N": self.N, **statement, **changes})
 
     def begin(self, observer: Observer) -> None:
-        """Forget what an estimator knows, and begin with the guess."""
+        """Reset an estimator to the guess."""
         observer.reset(self.guess, np.diag(np.square(self.doubt)))
 
 
 def reactor() -> tuple[OCP, Mapping[str, Any]]:
-    """A <-> B + C, 2 B <-> C in a batch, of which the pressure is measured; an extended Kalman filter goes to negative
-    concentrations (Haseltine and Rawlings, Industrial and Engineering Chemistry Research 44, 2005)."""
+    """State A <-> B + C, 2 B <-> C in a batch whose pressure is measured.
+
+    An extended Kalman filter finds negative concentrations (Haseltine and Rawlings, Industrial and Engineering
+    Chemistry Research 44, 2005).
+    """
     ocp = OCP("reactor", T=5.0, N=20, time_unit="min")
     a, b, c = (ocp.state(name, unit="mol/l", scale=1.0) for name in ("c_A", "c_B", "c_C"))
     first, second = 0.5 * a - 0.05 * b * c, 0.2 * b * b - 0.01 * c
@@ -71,8 +76,10 @@ def reactor() -> tuple[OCP, Mapping[str, Any]]:
 
 
 def vehicle() -> tuple[OCP, Mapping[str, Any]]:
-    """Position, heading, bias of the gyroscope and slip of the wheels; a receiver tells the position at every other
-    sample, and not at all between samples 60 and 85."""
+    """State position, heading, gyroscope bias and wheel slip of a vehicle.
+
+    A receiver gives the position at every other sample, and not between samples 60 and 85.
+    """
     ocp = OCP("vehicle", T=2.0, N=20)
     x, y = ocp.state("x", unit="m", scale=10.0), ocp.state("y", unit="m", scale=10.0)
     heading, bias = ocp.state("heading", unit="rad", scale=1.0), ocp.state("bias", unit="rad/s", scale=0.1)
@@ -89,7 +96,7 @@ def vehicle() -> tuple[OCP, Mapping[str, Any]]:
 
 
 def battery() -> tuple[OCP, Mapping[str, Any]]:
-    """State of charge of a cell whose open-circuit voltage is flat, with a current sensor that has an offset."""
+    """State a cell with a flat open-circuit voltage and a current sensor with an offset."""
     ocp = OCP("battery", T=200.0, N=20)
     soc, v = ocp.state("soc", scale=0.5), ocp.state("v", unit="V", scale=0.05)
     offset, i = ocp.state("offset", unit="A", scale=0.5), ocp.control("i", unit="A")
@@ -101,7 +108,7 @@ def battery() -> tuple[OCP, Mapping[str, Any]]:
 
 
 def _load(k: int) -> tuple[float, ...]:
-    """A: charges and discharges in turn, and more of the latter."""
+    """Return a current (A) that charges and discharges in turn, and discharges more."""
     return (2.3 * float(np.sign(np.sin(0.07 * k))) * (1 + 0.5 * np.sin(0.31 * k)) + 0.8,)
 
 
@@ -147,7 +154,7 @@ PLANTS: dict[str, Plant] = {
 
 @dataclass(frozen=True)
 class Run:
-    """States (n, nx), measurements (n, ny) of which NaN is missing, and controls (n, nu) behind every sample."""
+    """A run has states (n, nx), measurements (n, ny), where NaN is missing, and controls (n, nu) after every sample."""
 
     x: Array
     y: Array
@@ -159,8 +166,10 @@ def _inside(plant: Plant, x: Array) -> Array:
 
 
 def run(plant: Plant, rng: np.random.Generator, missing: float = 0.0, outliers: float = 0.0) -> Run:
-    """Draw a run of the plant with the noise that its estimator expects; measurements that are ``missing`` or
-    ``outliers``, by 20 to 60 standard deviations, are drawn with these probabilities."""
+    """Draw a run of the plant with the noise that its estimator expects.
+
+    ``missing``, ``outliers``: probabilities of missing measurements and of outliers by 20 to 60 standard deviations.
+    """
     model = Model(plant)
     std, nx = model.noise, len(plant.truth)
     x = _inside(plant, np.array(plant.truth) + plant.spread * rng.standard_normal(nx))
@@ -181,7 +190,7 @@ def run(plant: Plant, rng: np.random.Generator, missing: float = 0.0, outliers: 
 
 
 class Model:
-    """Model, measurements and noise of a plant as they are stated."""
+    """The model, measurements and noise of a plant as they are stated."""
 
     def __init__(self, plant: Plant) -> None:
         ocp, statement = plant.make()
@@ -203,11 +212,11 @@ class Model:
         self.dt = 1.0 if ocp.dt is None else ocp.dt[0]
 
     def measure(self, x: Array, before: Array) -> Array:
-        """What sensors without noise tell."""
+        """Return measurements of sensors without noise."""
         return np.array(self._h(x, before)).ravel()
 
     def move(self, x: Array, u: Array, rng: np.random.Generator) -> Array:
-        """The state at the next sample, with noise."""
+        """Return the state at the next sample, with noise."""
         u, h = u + self.of_input * rng.standard_normal(u.size), self.dt / FINE
         for _ in range(FINE):
             a = np.array(self._f(x, u)).ravel()
@@ -219,7 +228,7 @@ class Model:
 
 
 def estimate(observer: Observer, found: Run) -> tuple[Array, list[int], list[int]]:
-    """Estimates (n, nx), statuses and times in ns of a run."""
+    """Return estimates (n, nx), statuses and times in ns of a run."""
     estimates, statuses, times = [], [], []
     for k, y in enumerate(found.y):
         u = found.u[max(k - 1, 0)]
@@ -230,20 +239,20 @@ def estimate(observer: Observer, found: Run) -> tuple[Array, list[int], list[int
 
 
 def full_information(plant: Plant, found: Run, k: int) -> Array:
-    """The estimate (nx,) at sample k >= 1 from all measurements up to there, by IPOPT."""
+    """Return IPOPT's estimate (nx,) at sample k >= 1 from all measurements up to sample k."""
     problem = believing(estimation_problem(plant.estimator(N=k)), plant)
     data = node_data(problem, x0=np.array(plant.guess), p=window_data(problem, found, 0, k))
     return np.array(Reference(problem, tol=1e-9).solve(data, x=found.x[: k + 1], u=np.zeros((k, problem.nu))).x[-1])
 
 
 def believing(problem: Problem, plant: Plant) -> Problem:
-    """The problem with the guess of the plant as what is known of x_0."""
+    """Return the problem with the guess of the plant as arrival cost of x_0."""
     start = replace(problem.start, reference=np.array(plant.guess), weight=np.diag(np.square(plant.doubt) ** -1.0))
     return replace(problem, start=start)
 
 
 def window_data(problem: Problem, found: Run, first: int, last: int) -> Array:
-    """Parameters (N + 1, np) of the nodes of a window: controls, those before, measurements, their accuracy."""
+    """Return parameters (N + 1, np) of the nodes of a window: controls, controls before, measurements, accuracy."""
     e = problem.estimation
     assert e is not None
     rows = np.tile(problem.p_value, (last - first + 1, 1))
@@ -260,7 +269,7 @@ def window_data(problem: Problem, found: Run, first: int, last: int) -> Array:
 
 @dataclass(frozen=True)
 class Linear:
-    """x_{k+1} = A x_k + B u_k + w_k, y_k = H x_k + v_k with covariances Q and R, and of x_0."""
+    """x_{k+1} = A x_k + B u_k + w_k, y_k = H x_k + v_k with covariances Q of w and R of v."""
 
     A: Array
     B: Array
@@ -269,7 +278,7 @@ class Linear:
     R: Array
 
     def filter(self, x: Array, P: Array, y: Array, u: Array) -> list[tuple[Array, Array]]:
-        """Estimates and covariances of the Kalman filter, where NaN is a missing measurement."""
+        """Return estimates and covariances of the Kalman filter, where NaN is a missing measurement."""
         found = []
         for k, values in enumerate(y):
             if k:
@@ -282,7 +291,7 @@ class Linear:
         return found
 
     def run(self, x: Array, u: Array, rng: np.random.Generator) -> Array:
-        """Measurements (n, ny) of a run that begins at x, with the noise of the model."""
+        """Return measurements (n, ny) of a run that begins at x, with the noise of the model."""
         found = []
         for control in u:
             found.append(self.H @ x + rng.multivariate_normal(np.zeros(len(self.R)), self.R))
@@ -295,10 +304,10 @@ class Linear:
 
 @dataclass(frozen=True)
 class Loop:
-    """A controller and an estimator of one plant: their OCP and the statement of the estimator; where the plant starts,
-    what it shall follow over the samples, its true parameters, and the noise of its states from sample to sample.
+    """A loop has a controller and an estimator of one plant: their OCP and the statement of the estimator.
 
-    ``followed``: states that count, by name, with the errors at the end that are too large.
+    It also states the start of the plant, its references over the samples, its true parameters, and the noise of its
+    states. ``followed``: {state: error at the end that is too large}.
     """
 
     make: Callable[[], tuple[OCP, Mapping[str, Any]]]
@@ -314,7 +323,10 @@ class Loop:
         return len(next(iter(self.references.values())))
 
     def run(self, ctrl: Controller, observer: Observer, seed: int) -> tuple[Log, bool]:
-        """A loop with noise, and whether it was lost: an error at the end is too large, or a state is not finite."""
+        """Run a loop with noise.
+
+        Return whether it was lost: an error at the end is too large, or a state is not finite.
+        """
         ctrl.reset()
         observer.reset()
         rng = np.random.default_rng([7, seed])
@@ -332,7 +344,7 @@ class Loop:
 
 
 def vehicle_on_a_circle() -> tuple[OCP, Mapping[str, Any]]:
-    """The vehicle follows positions that move along a circle."""
+    """State the vehicle that follows positions along a circle."""
     ocp, statement = vehicle()
     ocp.least_squares(ca.vertcat(ocp.x[:2], ocp.u), weight=[1, 1, 0.1, 0.5], reference=[0, 0, 3, 0.3], names=_FOLLOWED)
     ocp.terminal_least_squares(ocp.x[:2], weight=5, names=_FOLLOWED[:2])
@@ -344,7 +356,7 @@ _FOLLOWED = ["x", "y", "v", "w"]
 
 
 def charging() -> tuple[OCP, Mapping[str, Any]]:
-    """The cell is charged to 80 % with at most 6 A."""
+    """State the cell that is charged to 80 % with at most 6 A."""
     ocp, statement = battery()
     ocp.least_squares(ca.vertcat(ocp.x[0], ocp.u), weight=[100, 0.01], names=["soc", "i"])
     ocp.terminal_least_squares(ocp.x[0], weight=1e3, names=["soc"])
@@ -353,7 +365,7 @@ def charging() -> tuple[OCP, Mapping[str, Any]]:
 
 
 def heating() -> tuple[OCP, Mapping[str, Any]]:
-    """An oven whose losses nobody knows: the temperature of its air is measured, that of its heater is not."""
+    """State an oven with unknown losses: the temperature of the air is measured, that of the heater is not."""
     ocp = OCP("oven", T=600.0, N=20)
     T, h = ocp.state("T", unit="K", initial=300.0), ocp.state("h", unit="K", initial=300.0)
     P, loss = ocp.control("P", unit="kW"), ocp.parameter("loss", value=0.02, unit="kW/K")

@@ -1,4 +1,4 @@
-"""The functions of an interval of implicit schemes in a shared library of their own, called with NumPy vectors."""
+"""The interval functions of implicit schemes are in a shared library of their own, called with NumPy vectors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from verification.c_harness import SCALARS, shared_library
 
 Array = NDArray[Any]
 
-#: Function -> its inputs behind x, u, p, dt and the Newton steps, and its outputs; numbers in terms of nx, nu, nz.
+#: Function -> its inputs after x, u, p, dt and the Newton steps, and its outputs; numbers in terms of nx, nu, nz.
 FUNCTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "value": ((), ("nx", "nx")),
     "failure": ((), ("3",)),
@@ -45,7 +45,7 @@ OPTIONAL = ("stage_rate", "stage_rate_gradient", "stage_rate_product", "stage_cu
 
 
 class Interval:
-    """The functions of one problem and integrator; ``scale``: that of the states."""
+    """An interval has the functions of one problem and integrator; ``scale`` is the scale of the states."""
 
     def __init__(
         self, problem: Problem, integrator: ImplicitRungeKutta, precision: Precision = "double", scale: Any = None
@@ -59,7 +59,7 @@ class Interval:
     def __call__(
         self, function: str, x: Any, u: Any, p: Any, dt: float, *more: Any, newton: int = NEWTON_LIMIT
     ) -> list[Array]:
-        """Results of a function; those that it adds to start at 0."""
+        """Return the results of a function; arrays that it adds to start at 0."""
         inputs, outputs = FUNCTIONS[function]
         arrays = [np.ascontiguousarray(v, dtype=self.scalar).ravel() for v in (x, u, p, [dt])]
         given = [np.ascontiguousarray(v, dtype=self.scalar).ravel() for v in more]
@@ -71,7 +71,7 @@ class Interval:
 
 
 def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision, scales: Array) -> str:
-    """Sizes, tables, kernels, the part, and functions that are visible."""
+    """Return sizes, tables, kernels, the part, and the exported functions as text."""
     style, kernels = unit_style(precision), StageKernels(problem)
     there = {kernel.name for kernel in kernels.all}
     nx, nu = problem.nx, problem.nu

@@ -1,4 +1,4 @@
-"""The models of oracles/runge_kutta.py as problems stated with CasADi, a discrete map, a pendulum with all features."""
+"""CasADi states the models of oracles/runge_kutta.py, a discrete map, and a pendulum with all features."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GRID = [0.2, 0.3, 0.45]
 
 
 def pendulum_of_everything(name: str, intervals: list[float]) -> OCP:
-    """Least-squares, general, integrated and terminal costs, path and terminal rows, a parameter; all nonlinear."""
+    """State a nonlinear pendulum with least-squares, general, integrated and terminal costs, rows and a parameter."""
     ocp = OCP(name, intervals=intervals)
     q, w, u = ocp.state("q", initial=0.7), ocp.state("w", initial=-0.2), ocp.control("u")
     m = ocp.parameter("m", value=1.3)
@@ -30,12 +30,12 @@ def pendulum_of_everything(name: str, intervals: list[float]) -> OCP:
 
 
 def couple(ocp: OCP) -> None:
-    """A curved coupled row of the pendulum."""
+    """Add a nonlinear coupled row to the pendulum."""
     ocp.boundary(-5, ocp.at_start(ocp.x[1]) ** 3 + ocp.at_end(ocp.x[0]) ** 2, 5, name="loop")
 
 
 def problem_of(model: str, uniform: bool = True) -> OCP:
-    """An OCP with the dynamics of the model and a simple cost."""
+    """State an OCP with the dynamics of the model and a simple cost."""
     grid: dict[str, Any] = {"T": 3 * LENGTH, "N": 3} if uniform else {"intervals": GRID}
     ocp = OCP(model, **grid)
     {"crane": _crane, "reactor": _reactor, "tanks": _tanks}[model](ocp)
@@ -66,7 +66,7 @@ def _tanks(ocp: OCP) -> None:
 
 
 def discrete_map() -> OCP:
-    """x+ = (x_0 + 0.5 x_1^2 + p u_0, 0.84 x_1 - x_0 exp(u_1))."""
+    """State x+ = (x_0 + 0.5 x_1^2 + p u_0, 0.84 x_1 - x_0 exp(u_1))."""
     ocp = OCP("map", N=4)
     x, u, p = ocp.state("x", size=2), ocp.control("u", size=2), ocp.parameter("p", value=0.8)
     ocp.dynamics(ca.vertcat(x[0] + 0.5 * x[1] ** 2 + p * u[0], 0.84 * x[1] - x[0] * ca.exp(u[1])), discrete=True)

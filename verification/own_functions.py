@@ -1,4 +1,4 @@
-"""The elementary functions of math="own" and of lanes, compiled alone, against long double."""
+"""The elementary functions of math="own" and of lanes are compiled separately, and compared with long double."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ LIMIT = 2.0
 
 
 def names() -> list[str]:
-    """All functions."""
+    """Return the names of all functions."""
     return sorted({*own_names(), "sqrt"})
 
 
 def source(single: bool, lanes: int, avx512: bool) -> str:
-    """A unit with own_<name>_of(x, y, z, n) and lanes_<name>_of(): z = the function of x and y."""
+    """Return a unit with own_<name>_of(x, y, z, n) and lanes_<name>_of(): z = the function of x and y."""
     real, suffix = ("float", "f") if single else ("double", "")
     sizes = {"VECTOR_LANES": lanes, "AVX512": int(avx512), "SINGLE": int(single)}
     head = (
@@ -59,7 +59,7 @@ def source(single: bool, lanes: int, avx512: bool) -> str:
 def library(
     folder: Path, single: bool, lanes: int, avx512: bool, flags: tuple[str, ...], compiler: tuple[str, ...] = ()
 ) -> ctypes.CDLL:
-    """The unit, compiled and loaded."""
+    """Compile and load the unit."""
     (folder / "functions.c").write_text(source(single, lanes, avx512))
     command = [*(compiler or find_compiler()), "-shared", "-fPIC", "-Wno-psabi", *flags, "functions.c"]
     subprocess.run([*command, "-o", "functions.so", "-lm"], cwd=folder, check=True)
@@ -67,7 +67,7 @@ def library(
 
 
 def evaluate(loaded: ctypes.CDLL, name: str, x: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
-    """own_<name> or lanes_<name> of vectors whose length is a multiple of the lanes."""
+    """Evaluate own_<name> or lanes_<name> for vectors whose length is a multiple of the lanes."""
     z = np.empty_like(x)
     addresses = [a.ctypes.data_as(ctypes.c_void_p) for a in (x, x if y is None else y, z)]
     loaded[f"{name}_of"](*addresses, ctypes.c_long(x.size))
@@ -75,7 +75,10 @@ def evaluate(loaded: ctypes.CDLL, name: str, x: np.ndarray, y: np.ndarray | None
 
 
 def ulps(got: np.ndarray, exact: np.ndarray) -> np.ndarray:
-    """Errors in units of the last place of the rounded exact value; infinite where only one is NaN or infinite."""
+    """Return errors in units of the last place of the rounded exact value.
+
+    Infinite where only one is NaN or infinite.
+    """
     with np.errstate(all="ignore"):
         rounded = exact.astype(got.dtype)
         unit = np.spacing(np.abs(rounded)).astype(np.longdouble)
@@ -85,7 +88,7 @@ def ulps(got: np.ndarray, exact: np.ndarray) -> np.ndarray:
 
 
 def special(dtype: Any) -> np.ndarray:
-    """Zeros, infinities, NaN, the ends of the range, numbers near which functions change their form."""
+    """Return zeros, infinities, NaN, the ends of the range, and numbers near which functions change their form."""
     info, digits = np.finfo(dtype), float(2 ** np.finfo(dtype).nmant)
     values = [0.0, 0.5, 1.0, 2.0, 3.0, np.inf, info.max, info.tiny, info.smallest_subnormal, 1e15, np.pi, 11 * np.pi]
     values += [digits / 2, digits, digits + 1, 2 * digits - 1, 2 * digits, 4 * digits, 1.5e6, 3000.0, 0.25, 1e-300]
@@ -94,7 +97,7 @@ def special(dtype: Any) -> np.ndarray:
 
 
 def arguments(dtype: Any, random: np.random.Generator, n: int) -> np.ndarray:
-    """Where functions vary, all magnitudes with subnormal numbers, the range of exp, special values."""
+    """Draw arguments where functions vary, of all magnitudes, subnormal, in the range of exp, and special ones."""
     info = np.finfo(dtype)
     near, unit = random.uniform(-4.0, 4.0, n), random.uniform(-1.0, 1.0, n)
     lowest, highest = np.log(float(info.tiny)) - info.nmant * np.log(2), np.log(float(info.max))
@@ -104,7 +107,7 @@ def arguments(dtype: Any, random: np.random.Generator, n: int) -> np.ndarray:
 
 
 def pairs(dtype: Any, random: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Two arguments: any, such that powers stay in the range, integer exponents, all pairs of special values."""
+    """Draw pairs of arguments: any, with powers in the range, with integer exponents, all pairs of special values."""
     x, y = arguments(dtype, random, n), arguments(dtype, random, n)
     base = (
         np.exp(random.uniform(-600, 600, n)).astype(dtype)
@@ -121,12 +124,12 @@ def pairs(dtype: Any, random: np.random.Generator, n: int) -> tuple[np.ndarray, 
 
 
 def _whole(x: np.ndarray) -> np.ndarray:
-    """With copies of the last element, so that the length is a multiple of all numbers of lanes."""
+    """Append copies of the last element, so that the length is a multiple of all numbers of lanes."""
     return np.concatenate([x, np.repeat(x[-1:], -x.size % 8)])
 
 
 def exact(name: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Values in long double; fmod, whose result is a number of the type itself, in that type."""
+    """Return the values in long double; fmod, whose result is a number of the type itself, in that type."""
     with np.errstate(all="ignore"):
         if name == "fmod":
             return np.asarray(np.fmod(x, y)).astype(np.longdouble)

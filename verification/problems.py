@@ -1,4 +1,4 @@
-"""Small optimal control problems, one per structure that the generated code must support, with their data."""
+"""There is a small optimal control problem for each structure that the generated code must support, with its data."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from verification.routes import PURE
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A problem, its options, the measured state, and run-time data that differ from the declared ones.
+    """A case is a problem with options, the measured state, and run-time data that differ from the declared ones.
 
     ``data``: arguments of node_data(); yref (N, ny), yref_N, W, W_N, p (N+1, np), bounds {row: (lower, upper)}.
     """
@@ -52,7 +52,7 @@ class Case:
 
 
 def pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
-    """A damped pendulum with a torque: (ocp, angle, rate, torque)."""
+    """State a damped pendulum with a torque; return (ocp, angle, rate, torque)."""
     ocp = OCP(name, **(grid or {"T": 2.0, "N": 8}))
     q, w, u = ocp.state("q", initial=1.0), ocp.state("w"), ocp.control("u")
     ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w + u})
@@ -77,7 +77,7 @@ def one_sided() -> OCP:
 
 
 def path_rows() -> OCP:
-    """General rows with a control (nodes 0..N-1) and without (1..N)."""
+    """State general rows with a control (nodes 0..N-1) and without (1..N)."""
     ocp, q, w, u = pendulum("path_rows")
     ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.1, 0.05])
     ocp.terminal_least_squares(ca.vertcat(q, w), weight=[10.0, 1.0])
@@ -95,7 +95,7 @@ def terminal_rows() -> OCP:
 
 
 def disc() -> OCP:
-    """A terminal disc with a small weight: full Gauss-Newton steps, which ignore the row's curvature, cycle."""
+    """State a terminal disc with a small weight: full Gauss-Newton steps, which ignore the row's curvature, cycle."""
     ocp, q, w, u = pendulum("disc")
     ocp.least_squares(ca.vertcat(q, w, u), weight=[1.0, 0.1, 1.0])
     ocp.subject_to(-np.inf, q * q + w * w, 0.04, at="end", name="disc")
@@ -103,7 +103,7 @@ def disc() -> OCP:
 
 
 def single_nodes() -> OCP:
-    """Bounds and general rows at some nodes only; node 0 with a control."""
+    """State bounds and general rows at some nodes only; node 0 with a control."""
     ocp, q, w, u = pendulum("single_nodes")
     ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.1, 0.1])
     ocp.subject_to(-0.2, w, 0.2, at=(3,), name="slow")
@@ -135,7 +135,7 @@ def dense_weight() -> OCP:
 
 
 def scaled() -> OCP:
-    """Weights scaled by dt on a nonuniform grid, one of the two dense."""
+    """State weights scaled by dt on a nonuniform grid, one of the two dense."""
     ocp, q, w, u = pendulum("scaled", intervals=[0.1, 0.1, 0.2, 0.2, 0.4, 0.4])
     ocp.least_squares(ca.vertcat(q, w), weight=[[4.0, 1.0], [1.0, 2.0]], scale_with_dt=True)
     ocp.least_squares(u, weight=[0.3])
@@ -152,7 +152,7 @@ def nonuniform() -> OCP:
 
 
 def discrete() -> OCP:
-    """The map of [T09 6.6] at k = 1, in two controls."""
+    """State the map of [T09 6.6] at k = 1, in two controls."""
     ocp = OCP("discrete", N=6)
     x, u = ocp.state("x", size=2, initial=[0.6, 0.5]), ocp.control("u", size=2)
     nxt = ca.vertcat(x[0] + 0.5 * x[1] ** 2 + u[0], 0.84 * x[1] - x[0] + u[1])
@@ -164,7 +164,7 @@ def discrete() -> OCP:
 
 
 def tiny() -> OCP:
-    """nx = nu = N = 1 and no constraints."""
+    """State a problem with nx = nu = N = 1 and no constraints."""
     ocp = OCP("tiny", T=0.5, N=1)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -(x**3) + u})
@@ -237,13 +237,13 @@ def problem(name: str) -> Problem:
 
 @cache
 def sources(name: str, precision: Precision = "double", prefix: str | None = None) -> Sources:
-    """The package of a case; its prefix is the name of the OCP unless given."""
+    """Return the package of a case; its prefix is the name of the OCP unless given."""
     case = CASES[name]
     return generate(case.make(), options_of(case, precision), prefix)
 
 
 def options_of(case: Case, precision: Precision = "double") -> Options:
-    """Those of the case, with the plain scheme, whose steps can be told one by one, unless it has another algorithm."""
+    """Return the options of the case with plain real-time iteration, unless it has another algorithm."""
     o = case.options
     algorithm = PURE if o.algorithm == RealTimeIteration() else o.algorithm
     return Options(o.integrator, o.hessian, o.condensing, o.qp, algorithm, o.online, precision)
@@ -256,7 +256,7 @@ def _built(name: str, profile: str, precision: Precision) -> Controller:
 
 
 def controller(name: str, profile: str = "test", precision: Precision = "double") -> Controller:
-    """A fresh controller with the data of the case."""
+    """Return a fresh controller with the data of the case."""
     fresh = _built(name, profile, precision).copy()
     apply(fresh, CASES[name].data)
     fresh.reset()
@@ -286,17 +286,17 @@ def case_data(name: str) -> Data:
 
 @cache
 def reference(name: str) -> ReferenceSolution:
-    """IPOPT's solution from the initial iterate."""
+    """Return IPOPT's solution from the initial iterate."""
     return Reference(problem(name), CASES[name].tableau).solve(case_data(name))
 
 
 def point(solution: Any) -> Point:
-    """Primal and dual variables of a Solution."""
+    """Return the primal and dual variables of a Solution."""
     return Point(**{name: np.array(getattr(solution, name), dtype=float) for name in Point.__dataclass_fields__})
 
 
 def toy(T: float = 0.4) -> OCP:
-    """A cart with mass m, a disturbance d, and bounds on its force and its state: x+ = A x + B a / m + d for 0.1 s."""
+    """State a cart with mass m, disturbance d, and bounds: x+ = A x + B a / m + d for 0.1 s."""
     ocp = OCP("toy", T=T, N=4)
     p, v, a = ocp.state("p", unit="m", initial=1.0), ocp.state("v", unit="m/s"), ocp.control("a", unit="m/s^2")
     m, d = ocp.parameter("m", value=1.0), ocp.parameter("d", size=2, value=[0.0, 0.0])
@@ -310,13 +310,13 @@ def toy(T: float = 0.4) -> OCP:
 
 @cache
 def toy_sources(precision: Precision = "double", T: float = 0.4) -> Sources:
-    """Its package: a Riccati recursion, everything can be changed at run time."""
+    """Return the package of the toy: a Riccati recursion, and all data can be changed at run time."""
     online = Online("node", "shared", "shared", "node")
     return generate(toy(T), Options(qp=RiccatiActiveSet(fallback=None), online=online, precision=precision))
 
 
 def explosive() -> OCP:
-    """x' = x^2 + u, which leaves the numbers in finite time from x = 1 with u = 5, not with the reference u = -2."""
+    """State x' = x^2 + u, which diverges in finite time from x = 1 with u = 5, not with the reference u = -2."""
     ocp = OCP("explosive", T=4.0, N=8)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: x**2 + u})
@@ -326,7 +326,7 @@ def explosive() -> OCP:
 
 
 def saddle() -> OCP:
-    """A cost that is concave in x where the plan begins, and all first derivatives are small there."""
+    """State a cost that is concave in x where the plan begins; all first derivatives are small there."""
     ocp = OCP("saddle", T=1.0, N=6)
     x, u = ocp.state("x", initial=0.1), ocp.control("u")
     ocp.dynamics({x: u})

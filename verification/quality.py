@@ -1,4 +1,4 @@
-"""Checks of the emitted C: warnings, symbols, sanitizers, stack, and several controllers in one program.
+"""The emitted C is checked for warnings, symbols, sanitizer findings, stack, and several controllers in one program.
 
 Every function takes the sources of a package (path -> text) and returns its findings, or a count that should be 0.
 """
@@ -21,7 +21,7 @@ from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import WARNINGS as STRICT
 from nmpc_codegen.runtime.compilers import find_compiler
 
-#: For both languages; warnings are counted, not refused.
+#: Warning options for both languages; warnings are counted, not refused.
 WARNINGS = tuple(flag for flag in STRICT if flag not in ("-std=c99", "-Werror"))
 #: Front ends by compiler and language.
 COMPILERS = {"gcc": {"C99": "gcc", "C++17": "g++"}, "clang": {"C99": "clang", "C++17": "clang++"}}
@@ -29,7 +29,7 @@ LANGUAGES = {"C99": ("-x", "c", "-std=c99"), "C++17": ("-x", "c++", "-std=c++17"
 RELEASE = ("-std=c99", "-O2", "-fno-math-errno", "-fno-trapping-math")
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 
-#: Functions of <math.h> that the printer may call, and functions to which compilers convert them and loops.
+#: Functions of <math.h> that the printer may call, and functions by which compilers replace them and loops.
 FUNCTIONS = (
     *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
     *("exp", "expm1", "log", "log1p", "pow", "sqrt", "hypot", "fabs", "floor", "ceil", "fmod", "fmin", "fmax"),
@@ -41,13 +41,13 @@ EXERCISE = Path(__file__).with_name("exercise.c")
 
 
 def package_name(sources: Sources) -> str:
-    """Prefix of a package: the stem of its only .json file."""
+    """Return the prefix of a package: the stem of its only .json file."""
     return next(path for path in sources if path.endswith(".json")).removesuffix(".json")
 
 
 @contextmanager
 def written(*packages: Sources) -> Iterator[Path]:
-    """A temporary folder with the C files of the packages (main.c and similar files: those of the last package)."""
+    """Yield a temporary folder with the C files of the packages; main.c and similar files are those of the last one."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for sources in packages:
@@ -58,7 +58,7 @@ def written(*packages: Sources) -> Iterator[Path]:
 
 
 def compile_c(folder: Path, *arguments: str, program: str | None = None) -> subprocess.CompletedProcess[str]:
-    """Run the C compiler, or a program, in a folder; its messages in English."""
+    """Run the C compiler, or a program, in a folder, with messages in English."""
     environment = {**os.environ, "LC_ALL": "C"}
     command = [*([program] if program else find_compiler()), *arguments]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
@@ -70,7 +70,9 @@ def warnings_of(
     languages: Sequence[str] = tuple(LANGUAGES),
     compiler: str | None = None,
 ) -> str:
-    """Messages of the compiler on the package and its main.c, as C99 and as C++17, at every level; empty: none.
+    """Return messages of the compiler on the package and its main.c, as C99 and as C++17, at every level.
+
+    Empty: none.
 
     ``compiler``: a key of COMPILERS; None: the compiler of build().
     """
@@ -87,15 +89,15 @@ def warnings_of(
 
 
 def count_warnings(messages: str) -> int:
-    """Number of warnings and errors among the messages of a compiler."""
+    """Count warnings and errors among the messages of a compiler."""
     return len(re.findall(r"\b(?:warning|error):", messages))
 
 
 def foreign_symbols(sources: Sources, *flags: str) -> list[str]:
-    """Unexpected symbols of the object, by letter of nm and name.
+    """Return the unexpected symbols of the object, by letter of nm and name.
 
-    Defined outside the prefix; undefined and not of ALLOWED; writable data of any kind. Without position-independent
-    code: tables of addresses would be data of the loader, not of the package.
+    A symbol is unexpected if it is defined outside the prefix, undefined and not in ALLOWED, or writable data. The
+    object has no position-independent code, where tables of addresses would be data of the loader, not of the package.
     """
     name = package_name(sources)
     with written(sources) as folder:
@@ -112,7 +114,7 @@ def foreign_symbols(sources: Sources, *flags: str) -> list[str]:
 
 
 def parameters_of(unit: str, function: str) -> tuple[str, ...]:
-    """The parameters that an inner function of a unit has; a package leaves out those that it does not read.
+    """Return the parameters of an inner function of a unit, without those that the package leaves out.
 
     Raises:
         ValueError: the unit has no such function.
@@ -124,7 +126,7 @@ def parameters_of(unit: str, function: str) -> tuple[str, ...]:
 
 
 def exercise(sources: Sources, x0: Sequence[float], flags: Sequence[str] = SANITIZERS) -> str:
-    """Findings of exercise.c, which calls the whole API, and of the sanitizers; empty: none."""
+    """Return findings of exercise.c, which calls the whole API, and of the sanitizers; empty: none."""
     name = package_name(sources)
     with written(sources) as folder:
         macros = [f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"', "-I."]
@@ -144,14 +146,14 @@ def exercise(sources: Sources, x0: Sequence[float], flags: Sequence[str] = SANIT
 
 @dataclass(frozen=True)
 class Stack:
-    """Bytes: the deepest chain of calls from an entry point, without library functions; the largest single frame."""
+    """A stack use has bytes of the deepest call chain, without library functions, and of the largest frame."""
 
     total: int
     frame: int
 
 
 def stack_use(sources: Sources, *flags: str) -> Stack:
-    """Stack of the package from gcc's call graph."""
+    """Return the stack use of the package from gcc's call graph."""
     name = package_name(sources)
     with written(sources) as folder:
         compile_c(folder, *RELEASE, *flags, "-fcallgraph-info=su", "-c", f"{name}.c").check_returncode()
@@ -203,9 +205,9 @@ _RUNS = 'strcmp(argv[1], "all") == 0 || strcmp(argv[1], "{p}") == 0'
 def run_together(
     packages: Sequence[Sources], x0: Sequence[float], steps: int = 30, flags: Sequence[str] = RELEASE
 ) -> dict[str, tuple[list[str], ...]]:
-    """Link the packages into one program; prefix -> lines of its closed loop, alone and interleaved with the others.
+    """Link the packages into one program and run their closed loops alone and interleaved with the others.
 
-    A line holds sample, status, u_0 and x_0 in hexadecimal.
+    Returns {prefix: lines of the loop alone, and interleaved}; a line holds sample, status, u_0 and x_0 in hexadecimal.
     """
     names = [package_name(sources) for sources in packages]
     start = ", ".join(repr(float(v)) + "f" for v in x0)
@@ -230,6 +232,6 @@ def run_together(
 
 
 def crane_packages() -> tuple[Sources, ...]:
-    """The crane, the crane under another name, and the crane in single precision."""
+    """Return the crane, the crane under another name, and the crane in single precision."""
     ocp = build_ocp()
     return generate(ocp), generate(ocp, name="crane_b"), generate(ocp, Options(precision="single"), "crane_f32")

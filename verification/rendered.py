@@ -1,4 +1,4 @@
-"""The packages of samples: before lowering, before rendering, and as text."""
+"""The packages of samples are cached before lowering, before rendering, and as text."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from verification.timed import Sample
 
 @cache
 def model(sample: Sample) -> Model:
-    """The Model of a sample."""
+    """Return the Model of a sample."""
     return model_of(*read(sample.make(), sample.options))
 
 
 @cache
 def lowered(sample: Sample) -> CModule:
-    """The CModule of a sample, before rendering."""
+    """Return the CModule of a sample, before rendering."""
     return lower(model(sample))
 
 
 def texts(sample: Sample) -> Sources:
-    """The package of a sample, without third-party code."""
+    """Return the package of a sample, without third-party code."""
     return text_of(lowered(sample))

@@ -1,4 +1,4 @@
-"""Six examples with their closed loops for timing."""
+"""Six examples have closed loops for timing."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Make = Callable[[], OCP]
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """An example, its closed loop for timing, and the scheme of its integrator as the oracle states it."""
+    """An example has its closed loop for timing, and the scheme of its integrator as the oracle states it."""
 
     name: str
     make: Make
@@ -104,7 +104,7 @@ def _at_rest(n: int) -> tuple[float, ...]:
 
 @cache
 def _pushed(n: int) -> Array:
-    """State after five pushes."""
+    """Return the state after five pushes."""
     controller = build(chain.build_ocp(n), TWO_STEPS, "fast")
     x = np.array(_at_rest(n))
     for _ in range(5):
@@ -127,7 +127,7 @@ EXAMPLES = (CSTR, CART_POLE, QUADROTOR, *(_chain(n) for n in (3, 5, 7)))
 
 
 def of_sample(sample: Sample) -> Scenario:
-    """The closed loop of a timed problem."""
+    """Return the closed loop of a timed problem."""
     own = {"timed crane": CRANE_LOOP, "timed bioreactor": BIOREACTOR_LOOP}
     name = sample.name.removeprefix("timed ")
     return own[sample.name] if sample.name in own else next(e.scenario() for e in EXAMPLES if e.name == name)

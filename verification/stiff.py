@@ -1,6 +1,6 @@
-"""Stiff problems of users, and their closed loops: kinetics, a distillation column, a converter, a battery cell.
+"""Stiff problems of users have closed loops: kinetics, a distillation column, a converter, a battery cell.
 
-The plant of a loop is the same model by Radau's method of SciPy, with other parameters and noise on what is measured.
+Radau's method of SciPy simulates the same model as the plant, with other parameters and measurement noise.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ Array = NDArray[Any]
 
 
 def kinetics() -> OCP:
-    """Robertson's reactions in a stirred tank: a slow one, a fast intermediate, an autocatalytic one; rates differ by
-    1e9. The feed holds the product at its set point. Time in s."""
+    """State Robertson's reactions in a stirred tank: a slow one, a fast intermediate, an autocatalytic one.
+
+    Rates differ by 1e9. The feed holds the product at its set point. Time is in s.
+    """
     ocp = OCP("kinetics", T=400.0, N=20)
     a, b, c = (ocp.state(n, initial=v, unit="mol/l") for n, v in (("a", 0.6), ("b", 1e-5), ("c", 0.4)))
     q = ocp.control("q", unit="1/s")
@@ -40,7 +42,10 @@ def kinetics() -> OCP:
 
 
 def reactor() -> OCP:
-    """A -> R -> B in a stirred tank with a jacket: R reacts in seconds, the tank takes an hour. Time in min."""
+    """State A -> R -> B in a stirred tank with a jacket.
+
+    R reacts in seconds, the tank takes an hour. Time is in min.
+    """
     ocp = OCP("reactor", T=60.0, N=30, time_unit="min")
     a, r, b = ocp.state("a", initial=1.0), ocp.state("r", initial=0.1), ocp.state("b", initial=0.5)
     T, Tj = ocp.state("T", initial=350.0, unit="K"), ocp.state("Tj", initial=340.0, unit="K")
@@ -61,13 +66,15 @@ def reactor() -> OCP:
     return ocp
 
 
-#: Trays between reboiler (0) and condenser (TRAYS + 1), that of the feed, hydraulic time constant (min), volatility.
+#: Number of trays between reboiler (0) and condenser (TRAYS + 1), feed tray, hydraulic time constant (min), volatility.
 TRAYS, FEED_TRAY, HYDRAULIC, VOLATILITY = 8, 4, 0.06, 2.0
 
 
 def column() -> OCP:
-    """A binary distillation column with constant relative volatility and liquid hydraulics: fast holdups, slow
-    compositions (Skogestad, Trans. IChemE 75, 1997, with fewer trays). Time in min."""
+    """State a binary distillation column with constant relative volatility and liquid hydraulics.
+
+    Holdups are fast, compositions slow (Skogestad, Trans. IChemE 75, 1997, with fewer trays). Time is in min.
+    """
     n = TRAYS + 2
     ocp = OCP("column", T=120.0, N=24, time_unit="min")
     start = np.linspace(0.06, 0.94, n)
@@ -98,8 +105,10 @@ def column() -> OCP:
 
 
 def converter() -> OCP:
-    """A buck converter with input filter and the inductance of its capacitor's leads: ringing in ns, regulation in
-    us. Time in us, averaged over a switching period."""
+    """State a buck converter with input filter and the inductance of its capacitor's leads.
+
+    It rings in ns and is regulated in us. Time is in us, averaged over a switching period.
+    """
     ocp = OCP("converter", T=200.0, N=20, time_unit="us")
     ii, vi = ocp.state("ii", initial=1.7, unit="A"), ocp.state("vi", initial=24.0, unit="V")
     i, vp = ocp.state("i", initial=5.0, unit="A"), ocp.state("vp", initial=12.0, unit="V")
@@ -124,8 +133,10 @@ def converter() -> OCP:
 
 @dataclass(frozen=True)
 class Stiff:
-    """A problem, the spread of the initial states and of the parameters (relative), and how far its loop may end from
-    the set point: ``distance`` of the states and controls at the end."""
+    """A stiff problem has relative spreads of initial states and parameters, and a limit at the end of its loop.
+
+    ``distance``: distance of the last states and controls from the set point; ``reach``: its limit.
+    """
 
     make: Callable[[], OCP]
     spread: float
@@ -145,7 +156,7 @@ PROBLEMS = {
 
 
 class Plant:
-    """The model by Radau's method of SciPy."""
+    """Radau's method of SciPy simulates the model."""
 
     def __init__(self, ocp: OCP) -> None:
         problem = self.problem = classify(ocp)
@@ -155,7 +166,7 @@ class Plant:
         self._slopes = ca.Function("f_x", [x, u, p], [ca.densify(ca.jacobian(f, x))])
 
     def step(self, x: Array, u: Array, p: Array) -> Array:
-        """The state one interval later."""
+        """Return the state one interval later."""
         found = solve_ivp(
             lambda t, x: np.asarray(self._f(x, u, p)).ravel(),
             (0.0, self.problem.dt[0]),
@@ -170,7 +181,7 @@ class Plant:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A loop: its statuses, the distance from the set point at its end, and why it is lost ("": it is not)."""
+    """A loop has its statuses, the distance from the set point at its end, and the reason why it is lost, or ""."""
 
     statuses: Counter[str]
     distance: float
@@ -178,17 +189,17 @@ class Outcome:
 
 
 class Moving(Protocol):
-    """A plant of a problem."""
+    """A moving object is a plant of a problem."""
 
     problem: Problem
 
     def step(self, x: Array, u: Array, p: Array) -> Array:
-        """The state one interval later."""
+        """Return the state one interval later."""
         ...
 
 
 def run(case: Stiff, ctrl: Controller, plant: Moving, seed: int) -> Outcome:
-    """A closed loop from a random start, with other parameters than those of the model and noise on the states."""
+    """Run a closed loop from a random start, with other parameters than those of the model and noise on the states."""
     rng, problem = np.random.default_rng(seed), plant.problem
     x = problem.x_initial[: problem.measured]
     x = x * (1 + case.spread * rng.uniform(-1, 1, x.size))
@@ -211,13 +222,16 @@ def run(case: Stiff, ctrl: Controller, plant: Moving, seed: int) -> Outcome:
 
 
 def controller(case: Stiff) -> Controller:
-    """The controller of a user who says nothing."""
+    """Return the controller with default options."""
     return build(case.make(), profile="fast")
 
 
 def distance_from_optimum(case: Stiff, options: Options | None, profile: str) -> tuple[float, int]:
-    """Largest difference of states, controls, algebraic variables and multipliers of solve() from IPOPT's optimum of
-    the same discretisation, in their sizes, infinite if there is none; iterations of solve()."""
+    """Return the distance of solve() from IPOPT's optimum of the same discretisation, and the iterations of solve().
+
+    The distance is the largest difference of states, controls, algebraic variables and multipliers, in their sizes;
+    infinite if there is no solution.
+    """
     ocp = case.make()
     ctrl = build(ocp, options, profile)
     chosen, problem = ctrl.description.options, classify(ocp)
@@ -235,7 +249,7 @@ def distance_from_optimum(case: Stiff, options: Options | None, profile: str) ->
 
 
 def _algebraic(problem: Problem, found: ReferenceSolution) -> Array:
-    """Algebraic variables of IPOPT's optimum at the nodes before the end."""
+    """Return the algebraic variables of IPOPT's optimum at the nodes before the end."""
     algebra, n = problem.algebra, problem.np
     if algebra is None:
         return np.zeros((problem.N, 0))

@@ -1,4 +1,4 @@
-"""Problems whose times are compared with an earlier commit, stated with features that earlier commits have, too."""
+"""The times of these problems are compared with earlier commits, whose features are sufficient to state them."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ from nmpc_codegen import (
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One package: the function that states its problem, and its options; ``x0``: a measured state, ``data``: arguments
-    of node_data() other than those that are declared."""
+    """A sample is one package: the function that states its problem, and its options.
+
+    ``x0``: a measured state; ``data``: arguments of node_data() that differ from the declared ones.
+    """
 
     name: str
     make: Callable[[], OCP | Estimator]

@@ -1,5 +1,7 @@
-"""Problems with what tuned controllers use, previous controls, rates, move blocks, time, discrete states, each of them
-stated twice: as an OCP, and by hand for IPOPT."""
+"""Problems with the features of tuned controllers are stated twice: as an OCP, and by hand for IPOPT.
+
+The features are previous controls, rates, move blocks, time and discrete states.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ import numpy as np
 from nmpc_codegen import OCP
 from verification.oracles.transcribed import Transcription
 
-#: The problem, the same by hand, x_0, and the control applied before.
+#: The problem, its transcription by hand, x_0, and the previous control.
 Tuned = tuple[OCP, Transcription, list[float], list[float]]
 
 
@@ -21,7 +23,7 @@ def _none(*_: Any) -> dict[int, Any]:
 
 
 def slewed_crane(N: int = 10, name: str = "slewed") -> Tuned:
-    """A crane whose trolley force has a rate penalty, a rate limit, and a terminal penalty on the last control."""
+    """State a crane whose trolley force has a rate penalty, a rate limit, and a terminal penalty."""
     ocp = OCP(name, T=0.3 * N, N=N)
     p, v, q, w = (ocp.state(n) for n in ("p", "v", "q", "w"))
     F = ocp.control("F", unit="N")
@@ -54,8 +56,10 @@ def slewed_crane(N: int = 10, name: str = "slewed") -> Tuned:
 
 
 def graded_tank(name: str = "graded") -> Tuned:
-    """Two tanks on a grid of growing intervals: general costs of rates, a row of the rates of both pumps, and one that
-    mixes a level with the control before."""
+    """State two tanks on a grid of growing intervals.
+
+    They have general costs of rates, a row of the rates of both pumps, and a row of a level and the previous control.
+    """
     dt = (0.5, 0.5, 1.0, 1.0, 2.0, 3.0)
     ocp = OCP(name, intervals=dt)
     h, g = ocp.state("h", initial=1.0), ocp.state("g", initial=0.5)
@@ -99,7 +103,7 @@ def graded_tank(name: str = "graded") -> Tuned:
 
 
 def dead_time(name: str = "dead") -> Tuned:
-    """A discrete map that the control reaches one sample late, and whose cost counts what the actuator changes."""
+    """State a discrete map that the control reaches one sample late; its cost counts changes of the actuator."""
     N = 12
     ocp = OCP(name, N=N)
     x, y = ocp.state("x", initial=2.0), ocp.state("y")
@@ -125,7 +129,7 @@ def dead_time(name: str = "dead") -> Tuned:
 
 
 def timed_vessel(name: str = "vessel") -> Tuned:
-    """Time in derivatives, cost and rows, the control before in the derivatives, and a counter that is a map."""
+    """State time in derivatives, cost and rows, the previous control in the derivatives, and a discrete counter."""
     N = 8
     ocp = OCP(name, T=4.0, N=N)
     x, y = ocp.state("x", initial=0.5), ocp.state("y")
@@ -161,7 +165,7 @@ def timed_vessel(name: str = "vessel") -> Tuned:
 
 
 def blocked_crane(name: str = "blocked") -> Tuned:
-    """The crane on blocks of intervals: four values over eight intervals, a rate penalty, and a row with the force."""
+    """State the crane on blocks: four values over eight intervals, a rate penalty, and a row with the force."""
     N, blocks = 8, (1, 1, 2, 4)
     ocp = OCP(name, T=0.3 * N, N=N)
     p, v, q, w = (ocp.state(n) for n in ("p", "v", "q", "w"))

@@ -1,4 +1,4 @@
-"""The whole unit of a package, with all that pruning leaves out, beside the unit that is exported: both do the same.
+"""The whole unit of a package, before pruning, does the same as the exported unit.
 
 A whole package states every member and every size that a part may name (GNU C: arrays of size 0), keeps `#if` for the
 compiler and leaves nothing out (lower(whole=True)). Its parts are the text that people edit, so it has to compile, and
@@ -20,11 +20,11 @@ from verification.quality import compile_c, package_name, written
 from verification.rendered import model, texts
 from verification.timed import Sample
 
-#: The same operations in the same order, whatever the compiler knows of the sizes.
+#: Flags that keep operations and their order, whatever the compiler knows about the sizes.
 FLAGS = ("-std=gnu99", "-O1", "-ffp-contract=off", "-fno-tree-vectorize", "-w")
 #: A whole unit declares the term of a row that a package without rows lacks, and never calls it.
 LINKED = ("-lm", "-no-pie", "-Wl,--defsym=row_term=0")
-#: What a name that is not declared, or a pointer to another type, has to be.
+#: Flags that make undeclared names and pointers to other types errors.
 ERRORS = (
     "-Werror=implicit-function-declaration",
     "-Werror=incompatible-pointer-types",
@@ -120,12 +120,12 @@ _SOLVE = """for (int j = 0; j < {P}_NU; j++) {{
 
 
 def packages(sample: Sample) -> tuple[Sources, Sources]:
-    """The exported package of a sample, and the whole one."""
+    """Return the exported package of a sample, and the whole one."""
     return texts(sample), text_of(lower(model(sample), whole=True))
 
 
 def errors_of(whole: Sources, *flags: str) -> str:
-    """What the compiler refuses of a whole unit; empty: nothing."""
+    """Return the compiler's errors on a whole unit; empty: none."""
     name = package_name(whole)
     with written(whole) as folder:
         _without_guard(folder / f"{name}.c")
@@ -134,7 +134,7 @@ def errors_of(whole: Sources, *flags: str) -> str:
 
 
 def closed_loop(sources: Sources, *flags: str, samples: int = 20) -> str:
-    """Status, cost, control and states of every sample, and of solve() at the end, to the bit.
+    """Return status, cost, control and states of every sample, and of solve() at the end, to the bit.
 
     Raises:
         AssertionError: the package does not compile, or its program fails.
@@ -156,7 +156,7 @@ def closed_loop(sources: Sources, *flags: str, samples: int = 20) -> str:
 
 
 def _driver(sources: Sources, names: Mapping[str, Any], solve: str) -> str:
-    """The program of a controller, or of an estimator."""
+    """Return the program of a controller, or of an estimator."""
     found = sources.description.estimation
     if found is None:
         return _DRIVER.format(**names, solve=solve)

@@ -1,1 +1,1 @@
-"""Parts of the benchmarks: every module has measure(report)."""
+"""Every module of the benchmarks has measure(report)."""

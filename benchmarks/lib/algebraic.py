@@ -1,5 +1,4 @@
-"""Algebraic equations: optima against IPOPT, closed loops, what is left of the equations, and what they cost beside a
-model from which they are eliminated by hand."""
+"""Models with algebraic equations are measured against IPOPT, in closed loops, and against elimination by hand."""
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ RESIDUAL, SAMPLES = 1e-12, 10_000
 
 
 def measure(report: Report, asked: Run) -> None:
-    """All figures; a line per problem."""
+    """Measure all figures, with a line per problem."""
     for name in asked.cases(algebraic.PROBLEMS):
         case = algebraic.PROBLEMS[name]
         for route, options in algebraic.ROUTES.items():
@@ -44,7 +43,7 @@ def measure(report: Report, asked: Run) -> None:
 
 
 def _long_loop(report: Report, samples: int) -> None:
-    """What is left of the charge balance in a loop with changing references."""
+    """Measure the residual of the charge balance in a loop with changing references."""
     ocp, reference = algebraic.neutralisation(), 7 + np.sin(np.arange(samples) / 7.0)
     log = simulate(build(ocp, profile="fast"), classify(ocp).x_initial[:3], samples, references={"pH": reference})
     left = algebraic.residual(ocp, log.x[:-1], log.z, log.u)
@@ -53,7 +52,7 @@ def _long_loop(report: Report, samples: int) -> None:
 
 
 def _drift(report: Report, samples: int) -> None:
-    """How far the length of the rope is from its constraint while the crane goes to and fro."""
+    """Measure the constraint error of the rope length while the crane moves to and fro."""
     goal = np.where(np.arange(samples) // 60 % 2, 1.0, 0.0)
     ctrl, start = build(rope_crane.build_ocp(), profile="fast"), [1.0, 0.0, 1.0, -LENGTH, 0.0, 0.0]
     log = simulate(ctrl, start, samples, references={"s": goal, "p[0]": goal})
@@ -66,7 +65,7 @@ def _drift(report: Report, samples: int) -> None:
 
 
 def battery_by_hand() -> OCP:
-    """The battery with the smaller solution of its quadratic equation in the place of the current."""
+    """State the battery with the smaller solution of its quadratic equation as current."""
     ocp = OCP("battery", T=20.0, N=20, time_unit="min")
     q, vp = ocp.state("q", initial=0.8), ocp.state("vp", unit="V")
     T, P = ocp.state("T", initial=30.0, unit="degC"), ocp.control("P", unit="kW")
@@ -84,8 +83,10 @@ def battery_by_hand() -> OCP:
 
 
 def crane_by_hand() -> OCP:
-    """The crane with its tension: (r'r / load + r_x^2 / cart) tension is what the other terms of the equation of the
-    length are."""
+    """State the crane with its tension eliminated.
+
+    (r'r / load + r_x^2 / cart) tension equals the other terms of the length equation.
+    """
     ocp = OCP("rope_crane", T=3.0, N=30)
     s, vs = ocp.state("s", initial=1.0, unit="m"), ocp.state("vs", unit="m/s")
     p, v = ocp.state("p", size=2, initial=[1.0, -LENGTH], unit="m"), ocp.state("v", size=2, unit="m/s")
@@ -104,7 +105,7 @@ def crane_by_hand() -> OCP:
 
 
 def _beside(report: Report, name: str, ocps: dict[str, OCP]) -> None:
-    """Operations of a linearisation, memory and code of both models."""
+    """Report operations of a linearisation, memory and code of both models."""
     for which, ocp in ocps.items():
         implicit = ImplicitRungeKutta(SDIRK3, 2, 2) if name == "battery" else None
         sources = generate(ocp, Options(integrator=implicit, solve=False))

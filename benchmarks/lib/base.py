@@ -1,4 +1,4 @@
-"""A base commit: its checkout, its closed loops as programs, its figures, each made by the code of that commit."""
+"""A base commit is checked out, and its own code makes its closed loops and figures."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ ENTRY = "benchmarks/__main__.py"
 
 @dataclass(frozen=True)
 class Base:
-    """A commit, checked out in a folder."""
+    """A base is a commit, checked out in a folder."""
 
     name: str
     folder: Path
 
     def run(self, module: str, *arguments: str) -> None:
-        """Run a module of that commit with its own sources. RefusedError: it fails."""
+        """Run a module of that commit with its own sources; raise RefusedError if it fails."""
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(self.folder / "src"), str(self.folder)])}
         command = [sys.executable, "-m", module, *arguments]
         done = subprocess.run(command, cwd=self.folder, env=environment, check=False, stdout=subprocess.DEVNULL)
@@ -34,7 +34,7 @@ class Base:
 
 @contextmanager
 def checkout(commit: str, folder: Path) -> Iterator[Base]:
-    """A checkout of the commit in this folder.
+    """Yield a checkout of the commit in this folder.
 
     Raises:
         RefusedError: there is no such commit, or it is too old: its benchmarks are not of this kind.
@@ -56,13 +56,13 @@ def checkout(commit: str, folder: Path) -> Iterator[Base]:
 
 
 def head() -> str:
-    """The short name of the commit that is checked out, with + if files differ from it; empty without git."""
+    """Return the short name of the checked-out commit, with + if files differ from it; empty without git."""
     described = _git("describe", "--always", "--dirty=+", "--exclude=*")
     return described.stdout.strip() if described.returncode == 0 else ""
 
 
 def commits() -> int:
-    """How many commits lead to the one that is checked out; 0 without git."""
+    """Return the number of commits that lead to the checked-out one; 0 without git."""
     counted = _git("rev-list", "--count", "HEAD")
     return int(counted.stdout) if counted.returncode == 0 else 0
 

@@ -1,4 +1,4 @@
-"""Batches: bits, threads, overhead, closed loops in compiled code; kernels for a GPU."""
+"""Batches are measured: bits, threads, overhead, closed loops in compiled code, kernels for a GPU."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from nmpc_codegen.runtime.batch.nvrtc import compile_kernel
 
 Array = NDArray[np.float64]
 
-#: Time of two threads over that of one; overhead of a call (us) for every controller; NumPy calls over compiled loops;
-#: time of NVRTC (s).
+#: Limits: time of one thread over that of two; overhead of a call (us) for every controller; NumPy calls over compiled
+#: loops; time of NVRTC (s).
 TWO_THREADS, OVERHEAD, LOOPS, NVRTC = 1.7, 0.2, 1.5, 60.0
 
 #: Controllers of a batch, and flights in closed loop; samples whose rate is measured, and of a whole flight.
@@ -30,7 +30,7 @@ STD = np.array([0.01, 0.01, 0.001, 0.01])
 
 
 def measure(report: Report, asked: Run) -> None:
-    """All figures."""
+    """Measure all figures."""
     controller = build(crane.build_ocp(), Options(algorithm=RealTimeIteration(sampling_time=0.3)))
     X = np.array([2.0, 0.0, 0.0, 0.0]) + 0.1 * np.random.default_rng(asked.seed).normal(size=(max(FLIGHTS), 4))
     threads = Batch(controller, 1).threads
@@ -48,7 +48,7 @@ def measure(report: Report, asked: Run) -> None:
 
 
 def _seconds(function: Callable[[], object], least: float = 0.3) -> float:
-    """The shortest of several runs, which together take at least this time."""
+    """Return the shortest of several runs, which together take at least this time."""
     best, total = np.inf, 0.0
     while total < least:
         start = time.perf_counter()
@@ -59,7 +59,7 @@ def _seconds(function: Callable[[], object], least: float = 0.3) -> float:
 
 
 def _compare_bits(report: Report, controller: Controller, X: Array, threads: int) -> None:
-    """Samples and flights by 1, 2 and all threads."""
+    """Compare samples and flights by 1, 2 and all threads."""
     found = []
     for count in sorted({1, 2, threads}):
         many = Batch(controller, len(X), count)
@@ -71,7 +71,7 @@ def _compare_bits(report: Report, controller: Controller, X: Array, threads: int
 
 
 def _time_calls(report: Report, controller: Controller, X: Array, threads: int) -> None:
-    """The first samples of a loop by calls of step() and integrate()."""
+    """Time the first samples of a loop by calls of step() and integrate()."""
     many = Batch(controller, len(X), threads)
 
     def loop() -> None:
@@ -85,7 +85,7 @@ def _time_calls(report: Report, controller: Controller, X: Array, threads: int) 
 
 
 def _time_loops(report: Report, controller: Controller, X: Array, threads: int) -> None:
-    """The same samples by simulate()."""
+    """Time the same samples by simulate()."""
     many = Batch(controller, 1, threads)
     took = _seconds(lambda: many.simulate(X, FIRST))
     _add_rate(report, f"crane, {len(X):,} in compiled loops", threads, len(X) * FIRST, took)
@@ -97,7 +97,7 @@ def _add_rate(report: Report, case: str, threads: int, samples: int, took: float
 
 
 def _compare_with_calls(report: Report, controller: Controller, X: Array) -> None:
-    """The same flights by calls of step() and integrate() on arrays, and what two threads are worth."""
+    """Compare with calls of step() and integrate() on arrays, and measure the gain of two threads."""
     random = np.random.default_rng(0)
 
     def calls(threads: int) -> float:
@@ -123,7 +123,7 @@ def _compare_with_calls(report: Report, controller: Controller, X: Array) -> Non
 
 
 def _measure_overhead(report: Report, number: int) -> None:
-    """integrate() of a map with one state, which takes some nanoseconds: more than what a call adds."""
+    """Measure the overhead of a call by integrate() of a map with one state, which takes some nanoseconds."""
     ocp = OCP("still", N=1)
     x, u = ocp.state("x"), ocp.control("u")
     ocp.dynamics({x: x + u}, discrete=True)
@@ -135,7 +135,7 @@ def _measure_overhead(report: Report, number: int) -> None:
 
 
 def _compile_kernels(report: Report) -> None:
-    """The time of NVRTC, without a cache."""
+    """Time NVRTC without a cache."""
     for module in (crane, quadrotor):
         package = build(module.build_ocp(), profile="test")._package
         text = kernel_text(package, BEGIN) + f"/* {time.time_ns()} */\n"

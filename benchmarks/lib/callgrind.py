@@ -1,4 +1,4 @@
-"""Instructions of functions, counted by callgrind: a measure of work that no other process disturbs."""
+"""Callgrind counts instructions of functions, a measure that other processes do not disturb."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-#: Functions of closed_loop.c in which the controller works, not the plant.
+#: Functions of closed_loop.c that run the controller, not the plant.
 PHASES = ("preparation", "feedback_phase")
 
 
 def available() -> bool:
-    """Whether there is a valgrind."""
+    """Return True if valgrind is installed."""
     return shutil.which("valgrind") is not None
 
 
 def instructions(program: Path, arguments: Sequence[str], functions: Iterable[str]) -> int | None:
-    """Instructions between entry and return of these functions, which the program calls.
+    """Count the instructions between entry and return of these functions, which the program calls.
 
-    None: valgrind does not know an instruction; 3.19 does not know vmovq between registers in one of its two encodings.
+    Returns None if valgrind does not know an instruction; 3.19 does not know vmovq between registers in one of its two
+    encodings.
     """
     tool = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"]
     tool += [f"--toggle-collect={function}" for function in functions]
@@ -35,9 +36,9 @@ def instructions(program: Path, arguments: Sequence[str], functions: Iterable[st
 
 
 def profile(program: Path, arguments: Sequence[str], functions: Iterable[str] = ()) -> dict[str, int]:
-    """Instructions of every function itself, without those that it calls; clones of a function are added up.
+    """Count the instructions of every function, without those that it calls; clones of a function are added up.
 
-    ``functions``: only what is between their entry and return, else the whole run.
+    ``functions``: limits the count to the time between their entry and return.
     """
     with tempfile.TemporaryDirectory() as folder:
         out = f"{folder}/instructions"

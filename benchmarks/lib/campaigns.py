@@ -1,4 +1,4 @@
-"""Campaigns: flights per second, losses with their intervals, replays, memory; what the coach chooses."""
+"""Campaigns are measured: flights per second, losses with their intervals, replays, memory, the coach's choices."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ print(json.dumps(fly_million(int(sys.argv[1]))))
 
 
 def of_stranger(s: Stranger) -> dict[str, Any]:
-    """Starts in its box, its kick, its goal, as arguments of campaign()."""
+    """Return starts in the stranger's box, its kick, and its goal, as arguments of campaign()."""
     words: dict[str, Any] = s.flights([0])
     words["starts"] = Box(*(np.asarray(side) for side in s.start))
     if s.distance is not None:
@@ -52,14 +52,14 @@ def _arrival(distance: Callable[[NDArray[np.float64]], float], reach: float) -> 
 
 
 def _systems() -> list[tuple[str, OCP, Options, dict[str, Any]]]:
-    """Crane, drone with pillar, car, tank, quadrotor."""
+    """Return crane, drone with pillar, car, tank, quadrotor."""
     found = [("crane", crane.build_ocp(), Options(), {"success": {"p": Box(-0.1, 0.1)}})]
     found += [(n, known(n).ocp(), known(n).options(), of_stranger(known(n))) for n in ("drone", "car", "tanks")]
     return [*found, ("quadrotor", quadrotor.build_ocp(), quadrotor.options(), {})]
 
 
 def measure(report: Report, asked: Run) -> None:
-    """All figures."""
+    """Measure all figures."""
     for name, ocp, options, words in asked.cases(_systems()):
         begin = time.perf_counter()
         found = campaign(ocp, asked.share(FLIGHTS, 50), options, progress=False, **words)
@@ -85,14 +85,14 @@ def _report(report: Report, name: str, found: Campaign, seconds: float) -> None:
 
 
 def fly_million(flights: int) -> tuple[float, float]:
-    """Peak of memory (bytes) and time (s) of so many flights of the crane."""
+    """Return the peak of memory (bytes) and the time (s) of this number of flights of the crane."""
     begin = time.perf_counter()
     campaign(crane.build_ocp(), flights, progress=False, steps=20)
     return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter() - begin
 
 
 def table(names: Sequence[str] = ()) -> str:
-    """What the coach chooses for every stranger, in Markdown: lost and cost beside the default, on fresh flights."""
+    """Return the coach's choices for every stranger in Markdown, compared with the default on fresh flights."""
     lines = ["| stranger | default lost | choice | lost | cost | time | why |", "|---|---:|---|---:|---:|---:|---|"]
     for s in STRANGERS:
         if names and s.name not in names:

@@ -1,4 +1,4 @@
-"""Estimators: equal to the Kalman filter, and what a window knows beside a filter and beside all measurements."""
+"""Estimators are compared with the Kalman filter, with a filter, and with all measurements."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from verification.estimation import run as run_plant
 #: Distance from the Kalman filter; errors relative to the estimate from all measurements, and to those of the filter.
 KALMAN, FULL, FILTER = 1e-10, 1.05, 1.0
 
-#: Runs of a plant, loops, samples at which all measurements are taken into account, and what a bad sensor does.
+#: Runs of a plant, loops, samples at which all measurements are used, fractions of missing and wrong measurements.
 RUNS, FLIGHTS, POINTS, MISSING, OUTLIERS = 20, 20, 8, 0.3, 0.05
 
 #: Error with bad sensors, relative to that with the same ones without outliers.
@@ -23,7 +23,7 @@ SURVIVES = 2.0
 
 
 def measure(report: Report, asked: Run) -> None:
-    """All figures; a line per plant."""
+    """Measure all figures, with a line per plant."""
     for N in asked.cases((1, 5, 20)):
         report.add("distance from the Kalman filter", _distance(N, asked.seed), case=f"linear, N = {N}", limit=KALMAN)
     for name in asked.cases(PLANTS):
@@ -37,8 +37,10 @@ def measure(report: Report, asked: Run) -> None:
 
 
 def _distance(N: int, seed: int) -> float:
-    """Largest distance of an estimate from that of the Kalman filter, over three random plants with four states, of
-    whose measurements 30 % are missing, in standard deviations of the estimate."""
+    """Return the largest distance of an estimate from the Kalman filter, in standard deviations.
+
+    Three random plants have four states; 30 % of their measurements are missing.
+    """
     rng, most = np.random.default_rng([N, seed]), 0.0
     for number in range(3):
         A, B, H = rng.normal(size=(4, 4)), rng.normal(size=(4, 1)), rng.normal(size=(2, 4))
@@ -71,7 +73,7 @@ def _rms(errors: list[np.ndarray]) -> float:
 
 
 def _compare(report: Report, name: str, plant: Plant, runs: int, seed: int) -> None:
-    """Errors in the scales of the states at some samples behind the first window; time and bytes."""
+    """Report errors in the scales of the states at some samples after the first window, time and bytes."""
     observers = _observers(plant, "squares")
     at = np.unique(np.linspace(plant.N, plant.samples - 1, POINTS).astype(int))
     errors: dict[str, list[np.ndarray]] = {"mhe": [], "ekf": [], "all": []}
@@ -99,8 +101,10 @@ def _compare(report: Report, name: str, plant: Plant, runs: int, seed: int) -> N
 
 
 def _with_bad_sensors(report: Report, name: str, plant: Plant, runs: int, seed: int) -> None:
-    """Errors with 30 % of the measurements missing and 5 % wrong by 20 to 60 standard deviations, to those with the
-    same ones missing and none wrong."""
+    """Report errors with bad sensors relative to errors with the same missing measurements only.
+
+    30 % of the measurements are missing, and 5 % are wrong by 20 to 60 standard deviations.
+    """
     observer = _observers(plant, "huber")["mhe"]
     errors: dict[float, list[np.ndarray]] = {0.0: [], OUTLIERS: []}
     for number in range(runs):
@@ -116,7 +120,7 @@ def _with_bad_sensors(report: Report, name: str, plant: Plant, runs: int, seed: 
 
 
 def _fly(report: Report, name: str, count: int, seed: int) -> None:
-    """Closed loops of estimator and controller together."""
+    """Run closed loops of estimator and controller together."""
     loop = LOOPS[name]
     ocp, statement = loop.make()
     ctrl, observer = build(ocp), build(ocp.estimator(N=20, **statement))

@@ -1,4 +1,4 @@
-"""Time from the import in Python to a loaded controller, of the crane, with empty caches."""
+"""The time from the import in Python to a loaded controller of the crane is measured with empty caches."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ROUNDS = 3
 
 
 def measure(report: Report, asked: Run) -> None:
-    """import, export, build: the least of some rounds, in seconds."""
+    """Measure import, export, build: the least of some rounds, in seconds."""
     rounds = []
     for _round in range(asked.share(ROUNDS)):
         with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""Printed routines timed one by one, over several points, in C."""
+"""Printed routines are timed one by one in C, over several points."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ static double now(void)
 def times(
     routines: Mapping[str, Routine], points: Mapping[str, np.ndarray], repetitions: int = 400, runs: int = 25
 ) -> dict[str, float]:
-    """ns per call and routine: minimum over runs of the mean over repetitions and points.
+    """Return ns per call and routine: minimum over runs of the mean over repetitions and points.
 
     ``points``: port -> (n, size); routines of any port names may be mixed.
     """

@@ -1,4 +1,4 @@
-"""Records of the benchmarks: a page for readers, with the value at the baseline beside every figure, and JSON."""
+"""Records of the benchmarks become a page for readers, with the baseline beside every figure, and JSON."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WIDTH = 150
 
 @dataclass(frozen=True)
 class Record:
-    """One measured value. ``limit`` is the requirement of the project (None: watched only)."""
+    """A record is one measured value. ``limit`` is the requirement of the project (None: watched only)."""
 
     topic: str
     key: str
@@ -42,11 +42,11 @@ class Record:
 
     @property
     def place(self) -> str:
-        """What identifies the value: topic, case and key."""
+        """Return the key of the value: topic, case and key."""
         return f"{self.topic}/{self.case}/{self.key}"
 
     def meets(self) -> bool:
-        """True if the value satisfies its limit, if it has one."""
+        """Return True if the value satisfies its limit or has none."""
         if self.limit is None:
             return True
         return self.value >= self.limit if self.at_least else self.value <= self.limit
@@ -54,7 +54,10 @@ class Record:
 
 @dataclass(frozen=True)
 class Baseline:
-    """Figures by their place, and which of them are times; ``same_machine``: those are comparable with this run's."""
+    """A baseline has figures by their key, and the keys of times.
+
+    ``same_machine``: its times are comparable with those of this run.
+    """
 
     label: str
     values: dict[str, float]
@@ -63,7 +66,7 @@ class Baseline:
 
     @classmethod
     def of(cls, path: Path, label: str, same_machine: bool | None = None) -> Baseline:
-        """From a file that Report.write() wrote."""
+        """Read a file that Report.write() wrote."""
         found = json.loads(path.read_text(encoding="utf-8"))
         places = {f"{r['topic']}/{r['case']}/{r['key']}": r for r in found["records"]}
         values = {place: r["value"] for place, r in places.items()}
@@ -72,11 +75,11 @@ class Baseline:
 
     @classmethod
     def empty(cls, label: str) -> Baseline:
-        """Without figures, but with those that take() adds."""
+        """Return a baseline without figures, which take() adds."""
         return cls(label, {}, frozenset(), same_machine=True)
 
     def take(self, records: Iterable[Record]) -> None:
-        """Figures that were measured in turn with those of this run."""
+        """Add figures that were measured in turn with those of this run."""
         self.values.update({record.place: record.value for record in records})
 
     def carry(self, factor: float) -> None:
@@ -85,7 +88,7 @@ class Baseline:
             self.values.update({place: factor * self.values[place] for place in self.times})
 
     def grew(self, record: Record) -> bool:
-        """True if bytes, instructions and operations are 2 % above the baseline, times 10 %."""
+        """Return True if bytes, instructions and operations are 2 % above the baseline, or times 10 %."""
         known, slack = self.values.get(record.place), GROWN.get(record.unit)
         if known is None or slack is None or (record.unit == "us" and not self.same_machine):
             return False
@@ -93,7 +96,7 @@ class Baseline:
 
 
 class Report:
-    """Collects records, prints them topic by topic and writes them."""
+    """A report collects records, prints them topic by topic and writes them."""
 
     def __init__(self, baseline: Baseline | None = None) -> None:
         self.topic = ""
@@ -118,11 +121,11 @@ class Report:
         self.records.append(record)
 
     def of(self, topic: str) -> list[Record]:
-        """Records of a topic."""
+        """Return the records of a topic."""
         return [record for record in self.records if record.topic == topic]
 
     def print_matrix(self, topic: str) -> None:
-        """A line per case and a column per key; beside every value, in parentheses, that of the baseline."""
+        """Print a line per case and a column per key; every value is followed by the baseline in parentheses."""
         records = {(r.case, r.key): r for r in self.of(topic)}
         units = {r.key: r.unit for r in records.values()}
         table = Table(title=topic, title_justify="left", box=box.SIMPLE_HEAD)
@@ -135,7 +138,7 @@ class Report:
         _show(table)
 
     def print_list(self, topic: str) -> None:
-        """A line per record, for topics whose cases have few keys in common."""
+        """Print a line per record, for topics whose cases have few keys in common."""
         table = Table(title=topic, title_justify="left", box=box.SIMPLE_HEAD)
         for column in ("key", "case", "value (baseline)", "limit", "unit", "n"):
             table.add_column(column, justify="left" if column in ("key", "case", "unit") else "right")
@@ -152,15 +155,15 @@ class Report:
         return f"{mark}{MARK} {cell}" if self.baseline.grew(record) else f"{mark}{cell}"
 
     def grown(self) -> list[Record]:
-        """Figures that grew beyond the slack of their unit."""
+        """Return the figures that grew beyond the slack of their unit."""
         return [record for record in self.records if self.baseline.grew(record)]
 
     def missed(self) -> list[Record]:
-        """Figures beyond their limit."""
+        """Return the figures beyond their limit."""
         return [record for record in self.records if not record.meets()]
 
     def write(self, path: str | Path, **about: object) -> None:
-        """All records with what the run was, which is given as ``about``."""
+        """Write all records with the description ``about`` of the run."""
         head = json.dumps({"machine": machine(), **about}, indent=1).removesuffix("\n}")
         lines = ",\n  ".join(json.dumps(asdict(record)) for record in self.records)
         Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -172,25 +175,25 @@ def _show(table: Table) -> None:
 
 
 def number(value: float) -> str:
-    """Three digits; from a thousand to a million million, and integers, without decimals."""
+    """Return three digits; from a thousand to a million million, and for integers, no decimals."""
     if not math.isfinite(value) or abs(value) >= 1e12:
         return f"{value:.3g}"
     return f"{value:,.0f}" if value == round(value) or abs(value) >= 1e3 else f"{value:.3g}"
 
 
 def replace_table(path: Path, column: str, table: str) -> None:
-    """Write the table of a Markdown file anew whose first column has this name."""
+    """Replace the table of a Markdown file whose first column has this name."""
     text = path.read_text(encoding="utf-8")
     path.write_text(re.sub(rf"(?m)^\| {column} \|.*\n(^\|.*\n)*", lambda _: table, text, count=1), "utf-8")
 
 
 def listed(records: Iterable[Record]) -> str:
-    """One line per record: its place, value and limit or nothing."""
+    """Return one line per record: its key and value."""
     return "\n".join(f"  {r.place}: {number(r.value)} {r.unit}".rstrip() for r in records)
 
 
 def machine() -> str:
-    """CPU, compiler and flags of the profile "fast"."""
+    """Return CPU, compiler and flags of the profile "fast"."""
     compiler = find_compiler()
     version = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=True).stdout
     cpu, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")

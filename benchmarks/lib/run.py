@@ -1,4 +1,4 @@
-"""What a run of the benchmarks was asked for."""
+"""A run holds the requested scale and seed of the benchmarks."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ Item = TypeVar("Item")
 
 
 class RefusedError(Exception):
-    """What was asked for does not exist or cannot run here."""
+    """Raised if a request names something that does not exist or cannot run here."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """``scale``: share of the counts that are asked for, 0: one of each; ``seed``: which of the draws; ``pictures``:
-    folder for them; ``base_programs``: closed loops of the commit that is compared with, which run in turn with ours.
+    """``scale``: fraction of the counts, 0: one of each; ``seed``: selects the draws.
+
+    ``pictures``: folder of pictures; ``base_programs``: closed loops of the base commit, which run in turn with ours.
     """
 
     scale: float
@@ -31,15 +32,15 @@ class Run:
     base_programs: Sequence[Program] = ()
 
     def share(self, full: int, least: int = 1) -> int:
-        """The share of a count, but at least so many."""
+        """Return the fraction of a count, at least ``least``."""
         return max(least, round(self.scale * full))
 
     def cases(self, items: Iterable[Item]) -> list[Item]:
-        """Cases of which there is no share: all, but at scale 0 the first."""
+        """Return all cases, or the first one at scale 0."""
         return list(items) if self.scale else list(items)[:1]
 
     def some(self, items: Sequence[Item], least: int) -> list[tuple[int, Item]]:
-        """The share of the items, but at least so many, drawn by the seed, with their numbers; all at 1, one at 0."""
+        """Draw the fraction of the items with their indices; at least ``least``, all at scale 1, one at 0."""
         count = min(len(items), self.share(len(items), least if self.scale else 1))
         chosen = np.random.default_rng([39, self.seed]).permutation(len(items))[:count]
         return [(int(i), items[i]) for i in sorted(chosen)]

@@ -1,4 +1,4 @@
-"""Implicit schemes: optima against IPOPT, closed loops, and what they cost."""
+"""Implicit schemes are compared with IPOPT's optima, in closed loops, and in cost with RK4."""
 
 from __future__ import annotations
 
@@ -23,17 +23,16 @@ from verification import stiff
 from verification.quality import compile_c, package_name, written
 from verification.stiff import Moving, Stiff
 
-#: Distance from optima.
+#: Largest distance from optima.
 OPTIMUM = 1e-8
-#: Loops of a problem; explicit over implicit time, where the implicit scheme has the steps that are accurate; bytes of
-#: code.
+#: Loops of a problem; least ratio of explicit to implicit time at equal accuracy; most bytes of code.
 LOOPS, FASTER, CODE = 20, 25.0, 100_000
-#: Calls of a step that are timed.
+#: Number of timed calls of a step.
 CALLS = 400
 
 
 def measure(report: Report, asked: Run) -> None:
-    """All figures; a line per problem."""
+    """Measure all figures, with a line per problem."""
     for name in asked.cases(stiff.PROBLEMS):
         case = stiff.PROBLEMS[name]
         optimum(report, name, case)
@@ -52,14 +51,14 @@ def measure(report: Report, asked: Run) -> None:
 
 
 def optimum(report: Report, name: str, case: Stiff, options: Options | None = None, figure: str = "optimum") -> None:
-    """Distance from IPOPT's optimum of the same discretisation."""
+    """Report the distance from IPOPT's optimum of the same discretisation."""
     error, iterations = stiff.distance_from_optimum(case, options, "fast")
     report.add(figure, error, case=name, limit=OPTIMUM)
     report.add(f"{figure}, iterations", iterations, case=name)
 
 
 def loops(report: Report, name: str, case: Stiff, plant: Moving, count: int) -> None:
-    """Closed loops with what a user gets who says nothing."""
+    """Report closed loops with default options."""
     ctrl = stiff.controller(case)
     found = [stiff.run(case, ctrl, plant, seed) for seed in range(count)]
     for outcome in found:
@@ -71,8 +70,10 @@ def loops(report: Report, name: str, case: Stiff, plant: Moving, count: int) -> 
 
 
 def _reactor(report: Report, calls: int) -> None:
-    """The time of a sample of the default scheme against that of RK4 with as many steps as it needs, both with a
-    Gauss-Newton Hessian and the same QP solver; code of the package."""
+    """Report the time of a sample with the default scheme against RK4 with as many steps as it needs, and the code.
+
+    Both have a Gauss-Newton Hessian and the same QP solver.
+    """
     ocp = stiff.reactor()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -86,7 +87,7 @@ def _reactor(report: Report, calls: int) -> None:
 
 
 def _time(ctrl: Controller, x: Array, calls: int) -> float:
-    """Median time of a step (us)."""
+    """Return the median time of a step (us)."""
     found = []
     for _ in range(calls):
         start = time.perf_counter()
@@ -96,7 +97,7 @@ def _time(ctrl: Controller, x: Array, calls: int) -> float:
 
 
 def code_bytes(sources: Sources) -> float:
-    """Bytes of code and constants, -O2."""
+    """Return the bytes of code and constants, -O2."""
     with written(sources) as folder:
         compile_c(folder, "-std=c99", "-O2", "-c", f"{package_name(sources)}.c", "-o", "unit.o")
         text = subprocess.run(["size", str(folder / "unit.o")], capture_output=True, text=True, check=True).stdout
@@ -125,7 +126,7 @@ int main(void)
 
 
 def _beside_rk4(report: Report, name: str, make: Callable[[], OCP]) -> None:
-    """Operations of an interval, code of the package and instructions of a sample, of SDIRK3 and of RK4 with a step."""
+    """Report operations of an interval, code and instructions of a sample, of SDIRK3 and of RK4 with one step."""
     given = Options(solve=False)
     for scheme, integrator in (("RK4", ExplicitRungeKutta(RK4, 1)), ("SDIRK3", ImplicitRungeKutta(SDIRK3, 1, 2))):
         sources = generate(make(), replace(given, integrator=integrator))

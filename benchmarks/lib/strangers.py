@@ -1,4 +1,4 @@
-"""Strangers with default options: closed loops against loops with IPOPT in every sample, cold starts of solve()."""
+"""Strangers run with default options: closed loops against IPOPT in every sample, and cold starts of solve()."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from verification.strangers.twin import NOMINAL, STARTS
 
 LEAST = 3
 LOST, NOT_OK, UNSOLVED = 0.0067, 0.0125, 0.02
-#: Loops lost that are allowed of a part of all.
+#: Number of lost loops that is allowed in a sample of all.
 FEW = 2
-#: Samples on end after which RELAXED counts as staying; costs of the house beyond the optimum.
+#: Consecutive samples after which RELAXED counts as staying; largest excess cost of the house over the optimum.
 STAYS, DEARER = 50, 0.01
 
-#: The defaults and what they are compared with in the table.
+#: The schemes of the table: the defaults, and others for comparison.
 SCHEMES: Mapping[str, RealTimeIteration | AugmentedLagrangian] = {
     "default": RealTimeIteration(),
     "relaxation=None": RealTimeIteration(relaxation=None),
@@ -40,14 +40,14 @@ SCHEMES: Mapping[str, RealTimeIteration | AugmentedLagrangian] = {
 def loops(
     strangers: Sequence[Stranger], numbers: Sequence[int], scheme: str, nominal: bool = False
 ) -> dict[str, list[Verdict]]:
-    """The loops with these numbers of every stranger, without their kicks if ``nominal``."""
+    """Run the loops with these numbers of every stranger, without their kicks if ``nominal``."""
     stated = [(s, replace(s.options(), algorithm=SCHEMES[scheme])) for s in strangers]
     build_all((s.ocp(), options) for s, options in stated)  # two at a time; campaigns find them in the cache
     return {s.name: run(s, numbers, options, nominal) for s, options in stated}
 
 
 def measure(report: Report, asked: Run) -> None:
-    """A line per problem, and the figures of all."""
+    """Report a line per problem, and the figures of all."""
     numbers, strangers = [i for i, _ in asked.some(range(STARTS), LEAST)], asked.cases(STRANGERS)
     found = loops(strangers, numbers, "default")
     for stranger in strangers:
@@ -75,7 +75,7 @@ def measure(report: Report, asked: Run) -> None:
 
 
 def _measure_house(report: Report) -> None:
-    """A loop without curvature in any control."""
+    """Report a loop without curvature in any control."""
     (controller,) = build_all([(house.ocp(), house.options())])
     statuses, cost = house.run(controller)
     bad = house.SAMPLES - statuses["OK"]
@@ -84,7 +84,7 @@ def _measure_house(report: Report) -> None:
 
 
 def measure_solve(report: Report, asked: Run) -> None:
-    """Cold starts of solve() that IPOPT solves: a line per problem, and the figures of all."""
+    """Report cold starts of solve() that IPOPT solves: a line per problem, and the figures of all."""
     numbers = [i for i, _ in asked.some(range(solves.STARTS), LEAST)]
     once = asked.cases(ONCE)
     built = build_all((s.ocp(), s.options()) for s in once)
@@ -116,7 +116,7 @@ def measure_solve(report: Report, asked: Run) -> None:
 
 
 def _measure_linear(report: Report, asked: Run) -> None:
-    """Loops whose samples are linear programs."""
+    """Report loops whose samples are linear programs."""
     cases = asked.cases(linear.CASES)
     for case, controller in zip(cases, build_all((c.ocp(), Options()) for c in cases), strict=True):
         bad, worst = case.run(controller)
@@ -133,7 +133,7 @@ def _report_solves(report: Report, name: str, pairs: Sequence[tuple[Attempt, Att
 
 
 def lost(found: Mapping[str, list[Verdict]], numbers: Sequence[int]) -> Iterable[str]:
-    """A line per loop that is lost."""
+    """Yield a line per lost loop."""
     for name, verdicts in found.items():
         for number, verdict in zip(numbers, verdicts, strict=True):
             if verdict.lost:
@@ -150,7 +150,7 @@ def _report(report: Report, name: str, verdicts: list[Verdict]) -> None:
 
 
 def table() -> str:
-    """The loops of all strangers with every scheme, in Markdown."""
+    """Return the loops of all strangers with every scheme, in Markdown."""
     head = "| problem | family | nx, nu, N | " + " | ".join(SCHEMES) + " |"
     lines = [head, "|---" * (3 + len(SCHEMES)) + "|"]
     found = {scheme: loops(STRANGERS, range(STARTS), scheme) for scheme in SCHEMES}
@@ -162,7 +162,7 @@ def table() -> str:
 
 
 def _cell(verdicts: list[Verdict]) -> str:
-    """Lost loops; samples that are neither OK nor RELAXED, and RELAXED ones, in percent."""
+    """Return lost loops, and the percentages of samples that are neither OK nor RELAXED, and of RELAXED ones."""
     statuses: Counter[str] = sum((v.statuses for v in verdicts), Counter())
     samples = sum(v.samples for v in verdicts)
     bad, relaxed = (100 * count / samples for count in (sum(v.bad for v in verdicts), statuses["RELAXED"]))

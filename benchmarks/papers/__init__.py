@@ -1,1 +1,1 @@
-"""The figures and tables of the five papers that the compiler implements, computed and drawn anew."""
+"""The figures and tables of the five papers that the compiler implements are computed and drawn again."""

@@ -1,4 +1,4 @@
-"""The papers, figure by figure: compute and draw them, and write them on one page beside the papers' numbers.
+"""The command computes and draws the papers' figures, and writes them on one page beside the papers' numbers.
 
     python -m benchmarks.papers [--only PAPER,...] [--scale S] [--folder FOLDER]
 
@@ -20,7 +20,7 @@ from benchmarks.papers import convexified, h11, hsj, q14, rod, rows, t09, z20
 from benchmarks.papers.exhibit import Check, Exhibit, Table
 
 Draw = Callable[[Run], Exhibit]
-#: Name -> title and what is drawn.
+#: Name -> title, and the functions that draw its exhibits.
 PAPERS: dict[str, tuple[str, Mapping[str, Draw]]] = {
     "H11": (h11.PAPER, h11.EXHIBITS),
     "Q14": (q14.PAPER, q14.EXHIBITS),
@@ -67,7 +67,7 @@ def main() -> int:
 
 
 def section(name: str, run: Run) -> tuple[str, list[Check]]:
-    """The part of the page on a paper, and the checks that fail."""
+    """Return the section of the page on a paper, and the checks that fail."""
     title, exhibits = PAPERS[name]
     drawn: list[Exhibit] = []
     for place, draw in exhibits.items():
@@ -82,7 +82,7 @@ def section(name: str, run: Run) -> tuple[str, list[Check]]:
 
 
 def sections(page: Path) -> dict[str, str]:
-    """Paper -> its part of a page that exists."""
+    """Return {paper: its section} of a page that exists."""
     if not page.is_file():
         return {}
     parts = page.read_text(encoding="utf-8").rstrip("\n").split("\n\n## ")[1:]

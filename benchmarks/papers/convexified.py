@@ -1,4 +1,4 @@
-"""[HSJ], introduction: the augmented Lagrangian beside real-time iterations that convexify an economic QP.
+"""[HSJ], introduction: the augmented Lagrangian is compared with real-time iterations that convexify an economic QP.
 
 The bioreactor runs the loop of Fig. 1 with S +20 %; its loss is relative to the optimal orbit. The evaporation process
 of [Z20] starts 10 kPa above its best pressure; its loss is the cost of 120 minutes beyond the best steady state,
@@ -49,7 +49,7 @@ MINUTES, DP = 120, 10.0
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A problem, its integration steps, the shift of its plan, and its loop: (controller, samples) -> loss %, us."""
+    """A problem has its integration steps, the shift of its plan, and its loop: (controller, samples) -> loss %, us."""
 
     make: Callable[[], OCP]
     steps: int
@@ -58,7 +58,7 @@ class Subject:
     samples: int
 
     def options(self, name: str) -> Options:
-        """Options of a scheme; ProblemError where there is no constant Hessian."""
+        """Return the options of a scheme; raise ProblemError where there is no constant Hessian."""
         integrator = ExplicitRungeKutta(RK4, steps=self.steps)
         if name == AUGMENTED:
             return Options(integrator=integrator, algorithm=AugmentedLagrangian(shift=self.shift))
@@ -68,13 +68,13 @@ class Subject:
 
 
 def orbit(controller: Controller, samples: int) -> tuple[float, np.ndarray]:
-    """The bioreactor; the last 48 h count."""
+    """Run the bioreactor; the last 48 h count."""
     found = drive(controller, JUMPS["S +20 %"], samples)
     return 100 * (1 - productivity(found) / OPTIMUM), found.us
 
 
 def minutes(controller: Controller, samples: int, converged: bool = False) -> tuple[float, np.ndarray]:
-    """Cost beyond the steady state, and times in us."""
+    """Return the cost beyond the steady state, and times in us."""
     known = schemes.subject("evaporation")
     best = known.tuning
     controller.x[...], controller.u[...] = best.x_s, best.u_s
@@ -90,12 +90,12 @@ def minutes(controller: Controller, samples: int, converged: bool = False) -> tu
 
 @cache
 def reference(samples: int) -> float:
-    """Cost beyond the steady state with converged plans."""
+    """Return the cost beyond the steady state with converged plans."""
     return minutes(build(evaporation.build_ocp(), evaporation.options()), samples, converged=True)[0]
 
 
 def pressure(controller: Controller, samples: int) -> tuple[float, np.ndarray]:
-    """The evaporation process."""
+    """Run the evaporation process."""
     cost, us = minutes(controller, samples)
     return 100 * (cost / reference(samples) - 1), us
 
@@ -107,7 +107,7 @@ SUBJECTS = {
 
 
 def compared(run: Run) -> Exhibit:
-    """Loss, times, memory and code of every scheme on both problems."""
+    """Compare loss, times, memory and code of every scheme on both problems."""
     tables = []
     for _, (name, subject) in run.some(tuple(SUBJECTS.items()), 1):
         rows = []

@@ -1,4 +1,4 @@
-"""A figure or table of a paper as it comes out here: numbers, pictures, and a sentence on what agrees."""
+"""An exhibit is a figure or table of a paper with our numbers, pictures, and a sentence on agreement."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from benchmarks.lib.report import number
 from benchmarks.lib.run import Run
 
 Cell = str | float | None
-#: Colours of a picture; more would double its bytes and show nothing. Longer curves have no markers.
+#: Number of colours of a picture, as more would double its bytes; longest curve with markers.
 PALETTE, MOST_MARKED = 255, 30
 BLUE, ORANGE, GREEN, VIOLET, RED, GREY = "#1f5fa8", "#c2571a", "#3a8a4f", "#8a5fb0", "#b3202c", "0.45"
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of numbers and words below their columns; the first cell of a row says what it is."""
+    """A table has rows of numbers and words under its columns; the first cell of a row is its label."""
 
     columns: Sequence[str]
     rows: Iterable[Sequence[Cell]]
@@ -35,7 +35,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Check:
-    """A number with an oracle, and the largest value that it may have."""
+    """A check is a number with an oracle, and its largest value."""
 
     what: str
     value: float
@@ -43,13 +43,13 @@ class Check:
 
     @property
     def holds(self) -> bool:
-        """False also if the value is no number."""
+        """Return True if the value is within its limit; NaN is not."""
         return self.value <= self.limit
 
 
 @dataclass(frozen=True)
 class Exhibit:
-    """``place``: where it is in the paper; ``verdict`` and one sentence with the numbers of both."""
+    """``place``: its place in the paper; ``verdict`` and one sentence with the numbers of both."""
 
     place: str
     title: str
@@ -69,12 +69,12 @@ class Exhibit:
 
 
 def cell(value: Cell) -> str:
-    """A number in three digits, nothing for None."""
+    """Return a number in three digits, or "" for None."""
     return "" if value is None else value if isinstance(value, str) else number(value)
 
 
 def sheet(rows: int, columns: int, width: float = 4.2, height: float = 3.0) -> tuple[Figure, Any]:
-    """A figure with a grid of axes, (rows, columns)."""
+    """Return a figure with a grid of axes, (rows, columns)."""
     figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
     for axis in axes.flat:
@@ -85,7 +85,7 @@ def sheet(rows: int, columns: int, width: float = 4.2, height: float = 3.0) -> t
 def curves(
     axis: Any, x: Sequence[float], found: Mapping[str, Sequence[float]], *, log: str = "", **labels: str
 ) -> None:
-    """A curve per name, with a legend; ``log``: which of the axes, "x", "y" or both, are logarithmic."""
+    """Draw a curve per name, with a legend; ``log``: the logarithmic axes, "x", "y" or both."""
     colours = (BLUE, ORANGE, GREEN, VIOLET, RED, GREY, "#6fb1e0", "#e0a070")
     line = "o-" if len(x) <= MOST_MARKED else "-"
     for (name, values), colour in zip(found.items(), colours, strict=False):
@@ -97,13 +97,13 @@ def curves(
 
 
 def plain_ticks(axis: Any, ticks: Sequence[float]) -> None:
-    """Labels of a logarithmic axis at these values alone, as plain numbers."""
+    """Label a logarithmic axis at these values only, as plain numbers."""
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.set_xticks([], minor=True)
 
 
 def save(figure: Figure, run: Run, name: str, says: str) -> str:
-    """Write <pictures>/<name>.png with few colours, below its paper and what it ``says``; its address on the page."""
+    """Write <pictures>/<name>.png with few colours and a caption; return its address on the page."""
     figure.suptitle(f"[{name.split('_')[0].upper()}] {says}", fontsize=9)
     run.pictures.mkdir(parents=True, exist_ok=True)
     drawn = BytesIO()
@@ -115,5 +115,5 @@ def save(figure: Figure, run: Run, name: str, says: str) -> str:
 
 
 def beside(run: Run, name: str) -> Path:
-    """A picture of an example, which is on the page of examples, too."""
+    """Return the path of a picture of an example, which is on the page of examples, too."""
     return run.pictures.parent / name

@@ -1,4 +1,4 @@
-"""The closed loop of the bioreactor in [HSJ], with any controller."""
+"""The closed loop of the bioreactor in [HSJ] runs with any controller."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from verification.robustness.work import Loop, Recorded, count
 #: Productivity of the optimal orbit with an average feed of 32.9, and of the best steady state, g/(L h).
 OPTIMUM, STEADY = 3.0549, 3.0165
 JUMPS = {"undisturbed": (1.0, 1.0, 1.0), "S +20 %": (1.0, 1.2, 1.0), "X +10 %": (1.1, 1.0, 1.0)}
-#: The paper's M = 3; its rho = 100 for gaps as they are is 3,400 to 42,000 in the scales of the states.
+#: The paper's M = 3; its rho = 100 for unscaled gaps is 3,400 to 42,000 in the scales of the states.
 OPTIONS = Options(
     integrator=ExplicitRungeKutta(RK4, steps=3),
     algorithm=AugmentedLagrangian(iterations=3, penalty=2e4, proximal=0.1, shift="periodic"),
@@ -26,7 +26,7 @@ OPTIONS = Options(
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """States (n, nx), controls (n, nu), conjugate gradients (n,) and times in us (n,); failed samples."""
+    """Samples have states (n, nx), controls (n, nu), conjugate gradients (n,), times in us (n,), and failures."""
 
     x: np.ndarray
     u: np.ndarray
@@ -35,7 +35,7 @@ class Samples:
     failed: int
 
     def operations(self) -> np.ndarray:
-        """Of every sample, counted."""
+        """Count the operations of every sample."""
         samples = len(self.u)
         recorded = Recorded([], [(None, x) for x in self.x], self.u, np.zeros(samples, dtype=bool))
         counted = Loop("bioreactor", reactor, OPTIONS, Scenario(self.x[0], bioreactor.SAMPLING, samples))
@@ -43,12 +43,15 @@ class Samples:
 
 
 def reactor() -> OCP:
-    """The bioreactor with soft periodicity."""
+    """State the bioreactor with soft periodicity."""
     return bioreactor.build_ocp(soft=True)
 
 
 def drive(controller: Controller, jump: Sequence[float], samples: int) -> Samples:
-    """From the orbit of a 40/28.7 feed; X, S, P jump at half time. The plant takes 20 RK4 steps per interval."""
+    """Run the loop from the orbit of a 40/28.7 feed.
+
+    X, S, P jump at half time. The plant takes 20 RK4 steps per interval.
+    """
     process = build(reactor(), replace(bioreactor.options(), integrator=ExplicitRungeKutta(RK4, steps=20)))
     bioreactor.guess(controller)
     x, states, controls, stats, failed = controller.x[0].copy(), [], [], [], 0
@@ -66,18 +69,18 @@ def drive(controller: Controller, jump: Sequence[float], samples: int) -> Sample
 
 @cache
 def loop(jump: Sequence[float], samples: int) -> Samples:
-    """The loop of the paper's controller."""
+    """Run the loop of the paper's controller."""
     return drive(build(reactor(), OPTIONS), jump, samples)
 
 
 def productivity(found: Samples) -> float:
-    """Of the last 48 h."""
+    """Return the productivity of the last 48 h."""
     n = len(found.u)
     return bioreactor.productivity(found, n - min(n, bioreactor.N), n)  # type: ignore[arg-type]
 
 
 def iterations(controller: Any, spread: float, seed: int) -> float:
-    """Full steps from a perturbed state and random feeds to the solution, inf if there are more than 60."""
+    """Count full steps from a perturbed state and random feeds to the solution; inf if there are more than 60."""
     random = np.random.default_rng(seed)
     controller.reset()
     x0 = bioreactor.START.copy()

@@ -1,4 +1,4 @@
-"""[H11]: the crane and the stirred tank reactor, phase by phase, and the reactor's closed loop."""
+"""[H11]: the crane and the stirred tank reactor are measured phase by phase, and the reactor in closed loop."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ PAPER = (
     'Houska, Ferreau and Diehl, "An auto-generated real-time iteration algorithm for nonlinear MPC in the microsecond '
     'range", Automatica 47 (2011)'
 )
-#: Changes of the working set from which on a change has a price.
+#: Least number of working-set changes for which a price per change is fitted.
 FEW = 5
 DENSE = Options(condensing=FullCondensing(), qp=DenseActiveSet())
-#: Of the reactor, whose samples are shorter than its intervals.
+#: Options of the reactor, whose samples are shorter than its intervals.
 CHOSEN = cstr.options()
 CONDENSED = replace(CHOSEN, condensing=FullCondensing(), qp=DenseActiveSet())
 
 
 def table_1(run: Run) -> Exhibit:
-    """Phases of the crane's sample, with and without x_N = 0; code and data."""
+    """Measure the phases of the crane's sample, with and without x_N = 0; code and data."""
     steps = run.share(1000, LEAST)
     rows: list[Sequence[Cell]] = [("paper, us", 53.0, 24.0, 13.0, None, "< 5", 95.0, 160.0, 14.0)]
     rows.append(("paper, share of time", "56 %", "25 %", "13 %", None, "< 6 %", "", "", ""))
@@ -67,7 +67,7 @@ def table_1(run: Run) -> Exhibit:
 
 
 def _against_ipopt() -> float:
-    """Largest relative difference of the crane's plan from IPOPT's at tol 1e-12."""
+    """Return the largest relative difference of the crane's plan from IPOPT's at tol 1e-12."""
     x0 = np.array([2.0, 0.0, 0.0, 0.0])
     ours, problem = build(crane.build_ocp(), Options()).solve(x0, tol=1e-12), classify(crane.build_ocp())
     exact = Reference(problem).solve(node_data(problem, x0=x0))
@@ -79,7 +79,7 @@ def _against_ipopt() -> float:
 
 
 def table_2(run: Run) -> Exhibit:
-    """Phases of the reactor, N = 10 and 22, with and without bounds of states; changes at both jumps."""
+    """Measure the phases of the reactor, N = 10 and 22, with and without bounds of states; changes at both jumps."""
     hold = run.share(600, LEAST)
     rows: list[Sequence[Cell]] = [
         ("paper, N = 10, us", 121.0, 98.0, 180.0, None, "< 5", 404.0, 220.0, 25.0),
@@ -119,7 +119,7 @@ def table_2(run: Run) -> Exhibit:
 
 
 def figure_5(_: Run) -> Exhibit:
-    """Twelve lines of the initial value embedding, as they are generated."""
+    """Show twelve lines of the initial value embedding, as they are generated."""
     text = generate(crane.build_ocp(), DENSE)["crane.c"]
     found = re.search(r"^static void condense_embed\(.*?^\}", text, re.M | re.S)
     lines = ["no function embeds the initial value"] if found is None else found[0].splitlines()
@@ -134,7 +134,7 @@ def figure_5(_: Run) -> Exhibit:
 
 
 def figure_6(run: Run) -> Exhibit:
-    """The closed loop over three set points on both grids; its ends against IPOPT."""
+    """Run the closed loop over three set points on both grids, and compare its ends with IPOPT."""
     hold = run.share(cstr.HOLD, LEAST)
     logs, ends = [], []
     for intervals in (cstr.REFINED, None):
@@ -166,14 +166,14 @@ def figure_6(run: Run) -> Exhibit:
 
 
 def _end_error(x: np.ndarray, u: np.ndarray, i: int) -> float:
-    """|u - u*| at the end of a set point, u* of IPOPT from the same state, relative to the largest of each control."""
+    """Return |u - u*| at the end of a set point, u* of IPOPT from the same state, relative to the largest control."""
     problem = classify(cstr.build_ocp(i))
     exact = Reference(problem).solve(node_data(problem, x0=x))
     return float((np.abs(u - exact.u[0]) / np.abs(exact.u).max(axis=0)).max()) if exact.success else np.nan
 
 
 def histogram(run: Run) -> Exhibit:
-    """Operations of the samples of Fig. 6, active sets beside the interior point."""
+    """Count the operations of the samples of Fig. 6, with active sets and with the interior point method."""
     hold = run.share(600, LEAST)
     solvers = {
         "dense active set": (CONDENSED, ORANGE),

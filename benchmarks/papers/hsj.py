@@ -1,4 +1,4 @@
-"""[HSJ]: the bioreactor by an augmented Lagrangian, its errors over iterations, penalty and sampling period."""
+"""[HSJ]: an augmented Lagrangian controls the bioreactor; its errors depend on iterations, penalty and period."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ PAPER = 'Hours, Shukla and Jones, "A parametric augmented Lagrangian algorithm f
 
 
 def loops(run: Run) -> dict[str, Samples]:
-    """The loops of both figures."""
+    """Run the loops of both figures."""
     samples = run.share(160, 4)
     return {name: loop(jump, samples) for _, (name, jump) in run.some(tuple(JUMPS.items()), 1)}
 
 
 def figure_1(run: Run) -> Exhibit:
-    """The feed."""
+    """Draw the feed."""
     found = loops(run)
     figure, axes = sheet(1, 1, 8.0, 2.4)
     for (name, each), style in zip(found.items(), ("-", "--", ":"), strict=False):
@@ -59,7 +59,7 @@ def figure_1(run: Run) -> Exhibit:
 
 
 def figure_2(run: Run) -> Exhibit:
-    """Operations of the samples, and conjugate gradients added up."""
+    """Count the operations of the samples, and sum conjugate gradients."""
     found = loops(run)
     figure, axes = sheet(2, 1, 8.0, 2.0)
     operations = {name: each.operations() for name, each in found.items()}
@@ -90,13 +90,13 @@ X0, SPAN = np.array([2.0, 0.0, 0.0, 0.0]), 9.0
 
 
 def problem() -> OCP:
-    """The crane with terminal weights."""
+    """State the crane with terminal weights."""
     return crane.build_ocp(terminal_constraint=False)
 
 
 @cache
 def errors(iterations: int, penalty: float, dt: float, span: float) -> np.ndarray:
-    """|u - u*| over the plan at every sample, along the loop of the controller itself, from the solution."""
+    """Return |u - u*| over the plan at every sample, along the loop of the controller itself, from the solution."""
     chosen = AugmentedLagrangian(iterations=iterations, penalty=penalty, sampling_time=dt, repair=0)
     tracked, exact = build(problem(), Options(algorithm=chosen)), build(problem(), Options())
     tracked.solve(X0, tol=1e-9, max_iterations=300)
@@ -109,7 +109,7 @@ def errors(iterations: int, penalty: float, dt: float, span: float) -> np.ndarra
 
 
 def theorem_4_2(run: Run) -> Exhibit:
-    """Mean error over M for some penalties."""
+    """Measure the mean error over M for some penalties."""
     counts, penalties, span = (1, 2, 3, 5, 10)[: run.share(5, 2)], (10.0, 100.0, 1000.0)[: run.share(3)], SPAN
     means = {f"rho = {p:g}": [float(errors(m, p, 0.3, span).mean()) for m in counts] for p in penalties}
     figure, axes = sheet(1, 1, 5.0, 2.8)
@@ -131,7 +131,7 @@ def theorem_4_2(run: Run) -> Exhibit:
 
 
 def corollary_4_1(run: Run) -> Exhibit:
-    """Error over the sampling period: along a loop it stays bounded, and falls with the change of the state."""
+    """Measure the error over the sampling period: along a loop it stays bounded, and falls with the state's change."""
     periods = (0.3, 0.15, 0.075, 0.0375)[: run.share(4, 2)]
     span = SPAN if run.scale > 0 else 1.0
     found = {dt: errors(3, 100.0, dt, span) for dt in periods}
@@ -163,19 +163,19 @@ def corollary_4_1(run: Run) -> Exhibit:
 
 @cache
 def operations(balls: int, N: int, samples: int) -> float:
-    """Median of the operations of a sample of the chain, which is pushed at the first."""
+    """Return the median operations of a sample of the chain, which is pushed at the first sample."""
     pushed = next(e.scenario() for e in EXAMPLES if e.name == f"chain{balls}")
     subject = Loop("", lambda: chain.build_ocp(balls, N), Options(algorithm=AugmentedLagrangian()), pushed, samples)
     return float(np.median(count(subject, record(subject, samples, []), optimise=samples > 10)[0].operations))
 
 
 def power(x: Sequence[float], y: Sequence[float]) -> float:
-    """Slope of log y over log x; nan for one point."""
+    """Return the slope of log y over log x; nan for one point."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0]) if len(x) > 1 else np.nan
 
 
 def growth(run: Run) -> Exhibit:
-    """Operations of the chain over the horizon, and over the states."""
+    """Count the operations of the chain over the horizon, and over the states."""
     horizons, balls, samples = (10, 20, 40, 80)[: run.share(4, 1)], (3, 5, 7)[: run.share(3)], run.share(60, 4)
     over_N = [operations(3, N, samples) for N in horizons]
     over_nx = [operations(n, 10, samples) for n in balls]

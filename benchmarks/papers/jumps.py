@@ -1,4 +1,4 @@
-"""Working-set changes and operations of the stirred tank reactor where its set point jumps."""
+"""Working-set changes and operations of the stirred tank reactor are counted where its set point jumps."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from nmpc_codegen import Options, build
 from verification.robustness.work import Loop, Recorded, count
 from verification.scenarios import FIGURE_6
 
-#: Samples of a set point at least, and samples after a jump over which changes of the working set are priced.
+#: Least number of samples of a set point, and samples after a jump over which a price per change is fitted.
 LEAST = AFTER = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Jumps:
-    """The loop of Fig. 6, per sample: working-set changes and counted operations; where set points change."""
+    """The loop of Fig. 6 has working-set changes and counted operations per sample; ``at``: samples of a set point."""
 
     changes: np.ndarray
     operations: np.ndarray
     at: int
 
     def most(self, jump: int) -> int:
-        """Working-set changes of the worst of three samples from a jump on."""
+        """Return the most working-set changes of a sample among three from a jump on."""
         return int(self.changes[jump * self.at : jump * self.at + 3].max())
 
     @property
     def per_change(self) -> float:
-        """Slope of the operations over the changes, in a few samples after the jumps."""
+        """Return the slope of the operations over the changes, in a few samples after the jumps."""
         near = np.concatenate([np.arange(self.at, self.at + AFTER), np.arange(2 * self.at, 2 * self.at + AFTER)])
         return float(np.polyfit(self.changes[near], self.operations[near], 1)[0])
 
 
 @cache
 def jumps(options: Options, N: int, bounds: bool, hold: int) -> Jumps:
-    """Three set points for ``hold`` samples each; nothing is optimised where that takes longer than the loop."""
+    """Run three set points for ``hold`` samples each; short loops are counted without optimisation."""
     make = lambda: cstr.build_ocp(N=N, state_bounds=bounds)  # noqa: E731
     c, x = build(make(), options, profile="fast"), np.array(cstr.START)
     samples, changes, u = [], [], []

@@ -1,4 +1,4 @@
-"""Closed-loop losses of the schemes of [Z20] against converged plans, in percent of the steady cost of the loop.
+"""Closed-loop losses of the schemes of [Z20] are relative to converged plans, in percent of the steady cost.
 
     loss = (J - J_converged) / (|l_s| samples) 100 %,   J = sum of the economic cost of the samples
 
@@ -48,13 +48,13 @@ COLOURS = {
     "LETEMPC": VIOLET,
     "tracking": RED,
 }
-#: Smaller losses, in percent, are drawn here: to rounding they are those of the converged scheme.
+#: Smallest loss that is drawn, in percent: smaller ones equal those of the converged scheme up to rounding.
 LEAST = 1e-10
 
 
 @cache
 def process(dP: float, samples: int) -> Losses:
-    """Of every scheme but the converged one, each a generated controller, and of the constant indefinite H.
+    """Return the losses of every generated scheme but the converged one, and of the constant indefinite H.
 
     No convex solver accepts the QP of the latter; its steps are those of kkt_step() with X2 = 25 as an equation at the
     nodes 1..N-1.
@@ -71,7 +71,7 @@ def _against_converged(costs: Losses, steady: float) -> Losses:
 
 
 def _indefinite(dP: float, samples: int) -> float:
-    """Cost of the loop with the Hessian of the Lagrangian at the steady state."""
+    """Return the cost of the loop with the Hessian of the Lagrangian at the steady state."""
     t, problem = tuning(), shooting()
     node, plan = problem.functions(), steady_plan(t, N)
     x, total = t.x_s + np.array([0.0, dP]), 0.0
@@ -86,7 +86,7 @@ def _indefinite(dP: float, samples: int) -> float:
 
 @cache
 def car(side: float, foreseen: bool, samples: int) -> Losses:
-    """Of every scheme but the converged one; inf if it diverges. The plan of the first sample is converged."""
+    """Return the losses of every scheme but the converged one, inf if it diverges; the first plan is converged."""
     return _against_converged(_drive(side, foreseen, samples).costs(CAR), subject("driving").tuning.cost * samples)
 
 
@@ -111,7 +111,7 @@ def _drive(side: float, foreseen: bool, samples: int) -> Loop:
 
 
 def loss_table(label: str, table: Mapping[float, Mapping[str, float]]) -> Table:
-    """A row per scheme, a column per argument."""
+    """Return a table with a row per scheme and a column per argument."""
     names = list(next(iter(table.values())))
     rows = [(n, *(f"{each[n]:.2g}" if np.isfinite(each[n]) else "diverges" for each in table.values())) for n in names]
     return Table([f"{at:g}" for at in table], rows, corner=f"loss, %, at {label}")
@@ -120,7 +120,7 @@ def loss_table(label: str, table: Mapping[float, Mapping[str, float]]) -> Table:
 def draw_losses(
     run: Run, name: str, says: str, tables: Mapping[str, Mapping[float, Mapping[str, float]]], label: str
 ) -> str:
-    """A panel per table: loss over the argument; dashed: converged."""
+    """Draw a panel per table: loss over the argument; dashed: converged."""
     figure, axes = sheet(1, len(tables), 4.6, 3.4)
     for axis, (word, table) in zip(axes[0], tables.items(), strict=True):
         at: Sequence[float] = list(table)

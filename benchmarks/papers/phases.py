@@ -1,4 +1,4 @@
-"""Where the instructions of a sample go, phase by phase, and the bytes of a package."""
+"""Instructions of a sample are measured phase by phase, with the bytes of a package."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nmpc_codegen.runtime.compilers import find_compiler
 from verification.closed_loop import compile_driver, run_driver
 from verification.robustness.work import Loop
 
-#: Phase -> the beginnings of its functions' names; what is left is "rest".
+#: Phase -> the beginnings of its functions' names; other functions belong to "rest".
 GROUPS = {
     "integration": r"integrator|linearize|path_|adjoint_step|terminal_|(__)?(exp|sin|cos|tan)|__ieee754|pow",
     "regularisation": r"jacobi|regulari[sz]e|test_block|blend_block|add_curv",
@@ -28,7 +28,10 @@ GROUPS = {
 
 
 def phases(loop: Loop) -> dict[str, float] | None:
-    """Instructions per sample of each phase in portable code; None without valgrind, or names of functions."""
+    """Return the instructions per sample of each phase in portable code.
+
+    None without valgrind, or names of functions.
+    """
     if not callgrind.available():
         return None
     sources = generate(loop.make(), loop.options)
@@ -43,12 +46,12 @@ def phases(loop: Loop) -> dict[str, float] | None:
     return found if any(found.values()) else None
 
 
-#: Of a sample with a least-squares cost, whose regularisation is the curvature of active rows.
+#: Phases of a sample with a least-squares cost, whose regularisation is the curvature of active rows.
 ORDER = ("integration", "condensing", "QP", "regularisation", "rest")
 
 
 def machine_code(sources: Sources, *flags: str) -> int:
-    """Bytes of code and constants of the object file, by default of the profile "fast"."""
+    """Return the bytes of code and constants of the object file, by default of the profile "fast"."""
     name = sources.description.name
     with tempfile.TemporaryDirectory() as folder:
         for path in (f"{name}.h", f"{name}.c"):
@@ -61,7 +64,7 @@ def machine_code(sources: Sources, *flags: str) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A sample of a closed loop: us, instructions of its phases (None without valgrind), kB of code and data."""
+    """A sample of a closed loop has us, instructions of its phases (None without valgrind), kB of code and data."""
 
     us: float
     phases: dict[str, float] | None
@@ -70,7 +73,7 @@ class Sample:
 
     @classmethod
     def of(cls, loop: Loop) -> Sample:
-        """Measure it."""
+        """Measure a sample of a loop."""
         sources, found = generate(loop.make(), loop.options), phases(loop)
         with tempfile.TemporaryDirectory() as folder:
             program = compile_driver(sources, sources.description.name, Path(folder))
@@ -78,20 +81,20 @@ class Sample:
         return cls(us, found, machine_code(sources) / 1e3, sources.description.report.ram_bytes / 1e3)
 
     def share(self, *names: str) -> str:
-        """Of phases, in percent."""
+        """Return the share of phases in percent."""
         return "-" if self.phases is None else f"{sum(map(self.phases.__getitem__, names)) / self.whole:.0%}"
 
     def less(self, other: Sample) -> str:
-        """How many instructions less than another sample, in percent."""
+        """Return the reduction of the instructions relative to another sample, in percent."""
         return "-" if self.phases is None else f"{1 - self.whole / other.whole:.0%}"
 
     @property
     def whole(self) -> float:
-        """Instructions of the sample."""
+        """Return the instructions of the sample."""
         return sum((self.phases or {}).values())
 
     def rows(self, word: str) -> list[Sequence[Cell]]:
-        """Instructions; shares and time."""
+        """Return rows with the instructions, and with shares and time."""
         shares: list[Cell] = [f"ours, {word}, share of instructions; us", *(self.share(p) for p in ORDER), self.us]
         if self.phases is None:
             return [[*shares, self.code, self.data]]

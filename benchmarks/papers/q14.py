@@ -1,4 +1,4 @@
-"""[Q14]: three sweeps for symmetric second derivatives, mirrored Hessians, and the bioreactor on its orbit."""
+"""[Q14]: three sweeps compute symmetric second derivatives; Hessians are mirrored; the bioreactor runs on its orbit."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ OPTIMUM = 3.0548516
 
 
 def table_1(run: Run) -> Exhibit:
-    """Products per step and numbers stored for ten steps, counted from the loops, and the paper's formulas."""
+    """Count products per step and numbers stored for ten steps from the loops, and evaluate the paper's formulas."""
     sizes, n = range(2, run.share(20, 4) + 1), 10
     counted: dict[str, list[float]] = {f"{s} {what}": [] for s in SWEEPS for what in ("products", "memory")}
     for nz in sizes:
@@ -99,7 +99,7 @@ MODELS = {
 
 
 def table_3(run: Run) -> Exhibit:
-    """Phases of the bioreactor's sample with both sweeps, and the ratio of the sweeps alone on four models."""
+    """Measure the phases of the bioreactor's sample with both sweeps, and the ratio of the sweeps on four models."""
     rows: list[Sequence[Cell]] = [
         ("paper, TSP, us", 64.0, 16.0, 15.0, 60.0, None, 155.0),
         ("paper, FOA, us", 138.0, 16.0, 15.0, 60.0, None, 229.0),
@@ -140,9 +140,9 @@ def table_3(run: Run) -> Exhibit:
 
 
 def ratio(name: str) -> tuple[float, ...]:
-    """FOA over TSP for an interval: operations of one straight program and of the loops, time and memory of these.
+    """Return FOA over TSP for an interval: operations of straight-line code and of loops, time and memory of loops.
 
-    Last, operations of TSP over those of forward sensitivities alone.
+    The last number is the ratio of the operations of TSP to those of forward sensitivities.
     """
     make, steps = MODELS[name]
     problem = classify(make())
@@ -157,7 +157,7 @@ def ratio(name: str) -> tuple[float, ...]:
 
 
 def condensed(hessian: ExactHessian) -> Options:
-    """The options of the example with full condensing."""
+    """Return the options of the example with full condensing."""
     options = bioreactor.options(hessian, "repeat")
     return replace(options, condensing=FullCondensing(), qp=DenseActiveSet())
 
@@ -167,7 +167,7 @@ def condensed(hessian: ExactHessian) -> Options:
 
 @cache
 def orbit_error() -> float:
-    """Of the orbit's productivity, relative: both sweeps, whose controllers start alike."""
+    """Return the relative error of the orbit's productivity with both sweeps, whose controllers start alike."""
     found = []
     for hessian in (None, ExactHessian(Mirror(level="stage"), ForwardOverAdjoint())):
         found.append(-bioreactor.orbit("b", hessian)[1].cost)
@@ -175,7 +175,7 @@ def orbit_error() -> float:
 
 
 def figure_1(run: Run) -> Exhibit:
-    """288 h of closed loop with a jump of the state at 144 h, beside the orbit that it leaves."""
+    """Run 288 h of closed loop with a jump of the state at 144 h, and compare it with the orbit."""
     samples = run.share(120, 8)
     jumps = {"S jumps by 20 %": (1.0, 1.2, 1.0), "X jumps by 10 %": (1.1, 1.0, 1.0)}
     loops = {name: bioreactor.closed_loop(jump, samples, samples // 2) for name, jump in jumps.items()}
@@ -201,7 +201,7 @@ SPREADS = (0.02, 0.05, 0.1, 0.2)
 
 
 def remark_1(run: Run) -> Exhibit:
-    """Full steps from perturbed starts with four regularisations and with none."""
+    """Count full steps from perturbed starts with four regularisations and with none."""
     schemes = {
         "mirrored stages": Mirror(level="stage"),
         "projected stages": Project(level="stage"),

@@ -1,4 +1,4 @@
-"""[T09]: the heat equation, with many states and few controls."""
+"""[T09]: the heat equation has many states and few controls."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from verification.adjoint import measured, problems
 
 
 def figure_6_14(run: Run) -> Exhibit:
-    """Zero-input and zero-state response of the rod of 50 states."""
+    """Draw the zero-input and zero-state response of the rod of 50 states."""
     N, nx = run.share(240, 20), 50
     case = problems.rod(nx, N, sample=1.0, heated=False)
     tools: Any = derivatives.build(case.ocp, None, case.options)
@@ -48,7 +48,7 @@ def figure_6_14(run: Run) -> Exhibit:
 
 
 def figure_6_15(run: Run) -> Exhibit:
-    """Both algorithms over the number of states."""
+    """Count the operations of both algorithms over the number of states."""
     sizes = (5, 10, 20, 40, 60, 80, 100, 140, 200)[: run.share(9, 3)]
     make: Callable[[int], problems.Case] = lambda nx: problems.rod(nx, 10, unroll="none")  # noqa: E731
     counts = np.array([measured.integration(make(nx)) for nx in sizes])
@@ -67,7 +67,7 @@ def figure_6_15(run: Run) -> Exhibit:
 
 
 def memory(run: Run) -> Exhibit:
-    """The heat rod with 100 states and two controls: bytes and time of a sample against multiple shooting."""
+    """Compare bytes and time of a sample with multiple shooting, for the heat rod with 100 states and two controls."""
     states, options = run.share(heat_rod.STATES, 10), heat_rod.options()
     integrator = ExplicitRungeKutta(RK4, steps=heat_rod.STEPS)
     stages = Options(

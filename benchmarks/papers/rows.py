@@ -1,4 +1,4 @@
-"""[T09], chapter 7: output rows as terms of the cost of single shooting, and closed loops with them."""
+"""[T09], chapter 7: output rows are terms of the cost of single shooting, also in closed loops."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LOWER, UPPER = -1.0, 2.0
 
 
 def barrier(t: np.ndarray, centre: float | None = None) -> np.ndarray:
-    """B(t) = -ln(2 - t) - ln(t + 1), without its value and slope at ``centre``."""
+    """Return B(t) = -ln(2 - t) - ln(t + 1), less its value and slope at ``centre``."""
     found = -np.log(UPPER - t) - np.log(t - LOWER)
     if centre is not None:
         slope = 1 / (UPPER - centre) - 1 / (centre - LOWER)
@@ -39,7 +39,7 @@ def barrier(t: np.ndarray, centre: float | None = None) -> np.ndarray:
 
 
 def figure_7_1(run: Run) -> Exhibit:
-    """Barriers, recentred at the origin and round a trajectory; where a set point comes to rest with either."""
+    """Draw barriers, recentred at the origin and round a trajectory, and where set points come to rest with either."""
     figure, axes = sheet(1, 3, 3.4)
     t = np.linspace(LOWER + 1e-9, UPPER - 1e-9, 2001)
     axes[0, 0].plot(t, barrier(t), "--", color=RED, label="B(t)")
@@ -75,13 +75,13 @@ def figure_7_1(run: Run) -> Exhibit:
 
 
 def displaced(points: np.ndarray, mu: float) -> np.ndarray:
-    """argmin (t - r)^2 / 2 + mu B(t), minus r."""
+    """Return argmin (t - r)^2 / 2 + mu B(t), minus r."""
     t = np.linspace(LOWER + 1e-6, UPPER - 1e-6, 200_001)
     return np.array([t[np.argmin((t - r) ** 2 / 2 + mu * barrier(t))] - r for r in points])
 
 
 def at_rest(point: float) -> float:
-    """Where an integrator between both bounds comes to rest, with a set point."""
+    """Return the state where an integrator between both bounds comes to rest, with a set point."""
     ocp = OCP("integrator", T=5.0, N=10)
     x, u = ocp.state("x", initial=0.5), ocp.control("u")
     ocp.dynamics({x: u})
@@ -93,7 +93,7 @@ def at_rest(point: float) -> float:
 
 
 def figure_7_2(run: Run) -> Exhibit:
-    """The smooth maximum and its derivative."""
+    """Draw the smooth maximum and its derivative."""
     figure, axes = sheet(1, 2)
     t = np.linspace(-1.5, 1.5, 601)
     for alpha, colour in ((2.0, GREEN), (5.0, ORANGE), (20.0, BLUE)):
@@ -116,7 +116,7 @@ def figure_7_2(run: Run) -> Exhibit:
 
 
 def figure_7_3(run: Run) -> Exhibit:
-    """Plans of the reactor with growing penalties against IPOPT with hard rows."""
+    """Compare plans of the reactor with growing penalties with IPOPT's with hard rows."""
     N = run.share(vandevusse.N, 30)
     problem = classify(vandevusse.build_ocp(intervals=N))
     reference = vandevusse.ramp(nodes=N + 1)
@@ -158,7 +158,7 @@ def figure_7_3(run: Run) -> Exhibit:
 
 
 def quasi_newton() -> list[Check]:
-    """Costs of quasi-Newton plans of the map (6.31) beyond IPOPT's, relative."""
+    """Return the relative cost excess of quasi-Newton plans of the map (6.31) over IPOPT's."""
     problem = classify(output_rows.build_ocp())
     data = replace(node_data(problem, x0=output_rows.START), p=np.arange(1.0, output_rows.N + 2)[:, None])
     exact = Reference(problem, CLASSICAL).solve(data, u=output_rows.first_guess())
@@ -183,7 +183,7 @@ WEIGHT = np.array([0.2, 1.0, 0.5, 0.2, 0.5, 5e-7])
 
 
 def closed_loops(run: Run) -> Exhibit:
-    """One step per sample with every treatment against converged IPOPT: the crane, and the reactor of [H11]."""
+    """Compare one step per sample with every treatment with converged IPOPT: the crane, and the reactor of [H11]."""
     hold = run.share(200, 2)
     samples = run.share(30, 3)
     swing = (crane.build_ocp, np.array([2.0, 0, 0, 0]), np.zeros((samples, 5)), np.ones(5), 0.3)

@@ -1,4 +1,4 @@
-"""Schemes of economic NMPC as generated controllers, and their closed loops.
+"""Schemes of economic NMPC are generated controllers with closed loops.
 
 A scheme has a cost (economic, LETEMPC, tracking) and a Hessian; it takes one step per sample, or iterates to
 convergence. All have the constraints, the plant (the model) and the first plan (the best steady state) in common.
@@ -35,13 +35,13 @@ Array = NDArray[np.float64]
 
 #: l = 10 x'x + 0.1 u'u of [Z20] as 1/2 w'Ww.
 TRACKING = (20.0, 20.0, 0.2, 0.2)
-#: Optimality conditions of a converged sample, relative to the terms they sum.
+#: Tolerance of the optimality conditions of a converged sample, relative to their terms; most iterations.
 TOLERANCE, MOST = 1e-8, 30
 
 
 @dataclass(frozen=True)
 class Scheme:
-    """A cost and a Hessian.
+    """A scheme is a cost and a Hessian.
 
     cost: "economic", "letempc", "tracking"; hessian: "exact", "tuned" (M), "identity", "least squares".
     """
@@ -67,7 +67,7 @@ TRACK, TRACK_CONVERGED = (
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """An example with its tuning, the functions of a node of its economic problem, and its problem for a scheme."""
+    """A subject is an example with its tuning, node functions of its economic problem, and its problem for a scheme."""
 
     example: ModuleType
     tuning: Tuning
@@ -75,17 +75,17 @@ class Subject:
     make: Callable[[Scheme], OCP]
 
     def cost(self, x: Array, u: Array) -> float:
-        """Economic cost of an interval."""
+        """Return the economic cost of an interval."""
         w = np.concatenate([x[list(self.tuning.kept)], u])
         return float(np.asarray(self.stage.values(w)[1]).item())
 
     @property
     def _identity(self) -> Array | None:
-        """At node N, unless the state there is fixed."""
+        """Return the identity at node N, or None if the state there is fixed."""
         return None if self.tuning.M_f is None else np.eye(len(self.tuning.M_f))
 
     def options(self, scheme: Scheme) -> Options:
-        """Options of the example with the Hessian of the scheme; the plan moves by one interval per sample."""
+        """Return options of the example with the Hessian of the scheme; a sample shifts the plan by one interval."""
         hessian: Any = {
             "exact": None,
             "tuned": self.tuning.hessian(),
@@ -98,14 +98,14 @@ class Subject:
 
 @cache
 def subject(name: str) -> Subject:
-    """ "evaporation", or "driving" with the lane as a parameter of every node."""
+    """Return "evaporation", or "driving" with the lane as a parameter of every node."""
     example = {"evaporation": evaporation, "driving": driving}[name]
     tuning, stage = example.tuned(), steady_stage(classify(example.build_ocp()), example.options())
     return Subject(example, tuning, stage, partial({"evaporation": process, "driving": car}[name], tuning))
 
 
 def process(t: Tuning, scheme: Scheme) -> OCP:
-    """The evaporation process with the cost of the scheme."""
+    """State the evaporation process with the cost of the scheme."""
     if scheme.cost == "economic":
         return evaporation.build_ocp()
     ocp = evaporation.process(t.problem.N, economic=False)
@@ -121,7 +121,10 @@ def process(t: Tuning, scheme: Scheme) -> OCP:
 
 
 def car(t: Tuning, scheme: Scheme) -> OCP:
-    """The car with the cost of the scheme; the middle of the lane is a parameter, so that a move can be foreseen."""
+    """State the car with the cost of the scheme.
+
+    The middle of the lane is a parameter, so that moves can be foreseen.
+    """
     ocp = driving.build_ocp(economic=False)
     lane = ocp.parameter("lane", value=0.0)
     x = ocp.x - ca.vertcat(0, lane, 0, 0, 0)
@@ -138,21 +141,23 @@ def car(t: Tuning, scheme: Scheme) -> OCP:
 
 @cache
 def controllers(name: str, schemes: tuple[Scheme, ...]) -> dict[Scheme, Controller]:
-    """The compiled controllers of the schemes."""
+    """Return the compiled controllers of the schemes."""
     s = subject(name)
     return dict(zip(schemes, build_all([(s.make(scheme), s.options(scheme)) for scheme in schemes]), strict=True))
 
 
-#: (sample, controller, state) -> state: what happens before a sample.
+#: (sample, controller, state) -> state: changes the state before a sample.
 Event = Callable[[int, Controller, Array], Array]
 DIVERGED = 1e6
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Samples of a closed loop from x0 with intervals dt; with ``warm``, the plan of the first sample is converged.
+    """A loop has samples of a closed loop from x0 with intervals dt.
 
-    ``origin``: (sample) -> what is subtracted from the state in the cost.
+    ``warm``: the plan of the first sample is converged.
+
+    ``origin``: (sample) -> offset subtracted from the state in the cost.
     """
 
     name: str
@@ -165,12 +170,12 @@ class Loop:
     drift: tuple[float, ...] | float = 0.0
 
     def start(self, c: Controller) -> None:
-        """The first plan: the best steady state, with the drift of cyclic states."""
+        """Set the first plan to the best steady state, with the drift of cyclic states."""
         t, steps = subject(self.name).tuning, np.arange(len(c.x))[:, None]
         c.x[...], c.u[...] = t.x_s + steps * np.asarray(self.drift), t.u_s
 
     def cost(self, scheme: Scheme, controller: Controller) -> float:
-        """Sum of the economic cost over the samples of the closed loop; inf if the state leaves all bounds."""
+        """Return the sum of the economic cost over the closed loop; inf if the state leaves all bounds."""
         s, c, x, total = subject(self.name), controller.copy(), np.array(self.x0), 0.0
         self.start(c)
         for n in range(self.samples):
@@ -186,12 +191,12 @@ class Loop:
         return total
 
     def costs(self, schemes: Iterable[Scheme]) -> dict[str, float]:
-        """The closed loops of all schemes by name."""
+        """Return the costs of the closed loops of all schemes by name."""
         return {scheme.name: self.cost(scheme, c) for scheme, c in controllers(self.name, tuple(schemes)).items()}
 
 
 def _solution(c: Controller, x: Array) -> Array:
-    """The first control of the solution: by full steps from the moved plan, else by the filter."""
+    """Return the first control of the solution: by full steps from the shifted plan, else by the filter."""
     before = c.x.copy(), c.u.copy(), c.lam.copy()
     found = c.solve(x, tol=TOLERANCE, max_iterations=MOST, globalization="full_step")
     if found.status != Status.OK:

@@ -1,4 +1,4 @@
-"""Second-order sensitivities of an interval: loops of three sweeps (TSP) and of forward over adjoint (FOA)."""
+"""Second-order sensitivities of an interval come from three sweeps (TSP) or from forward over adjoint (FOA)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SWEEPS = {"tsp": "symmetric", "foa": "forward_over_adjoint"}
 
 
 def curved(problem: Problem, component: Any, scheme: str) -> LoopedRoutine:
-    """x_next, S, gradient and Hessian of an interval; the node adds no terms."""
+    """Return the routine for x_next, S, gradient and Hessian of an interval; the node adds no terms."""
     nz = problem.nx + problem.nu
     zeros = ca.Function("zeros", [], [ca.SX.zeros(nz), ca.SX.zeros(nz * nz)])
     start = Call(zeros, (), (Slice("g", nz), Slice("Q", nz * nz)))
@@ -27,13 +27,13 @@ def curved(problem: Problem, component: Any, scheme: str) -> LoopedRoutine:
     return routine
 
 
-#: Leaves of the propagation, and the buffers that it needs besides derivatives of phi.
+#: Leaves of the propagation, and its buffers besides derivatives of phi.
 LEAVES = {"tsp": ("bend", "accumulate", "sum"), "foa": ("bar", "update_bars")}
 BUFFERS = {"tsp": ("Xs", "kappa", "Z", "Sx", "H"), "foa": ("Xs", "Zs", "Sx", "adj", "adjS", "ubarS")}
 
 
 def dense(nz: int) -> Problem:
-    """nz - 1 states and one control, every derivative nonzero; one Euler step is one recursion z+ = phi(z)."""
+    """State nz - 1 states and one control with nonzero derivatives; one Euler step is one recursion z+ = phi(z)."""
     ocp = OCP("dense", T=1.0, N=1)
     x, u = ocp.state("x", size=nz - 1), ocp.control("u")
     M = np.random.default_rng(nz).uniform(0.1, 1, (nz - 1, nz))
@@ -43,7 +43,7 @@ def dense(nz: int) -> Problem:
 
 
 def products(nodes: Sequence[Node], routine: LoopedRoutine, leaves: tuple[str, ...], at: dict[str, int]) -> int:
-    """Multiplications in the given leaves, with loops multiplied out."""
+    """Count the multiplications in the given leaves, with loops multiplied out."""
     total = 0
     for node in nodes:
         if isinstance(node, For):
@@ -54,7 +54,7 @@ def products(nodes: Sequence[Node], routine: LoopedRoutine, leaves: tuple[str, .
 
 
 def program(routine: LoopedRoutine) -> Kernel:
-    """A sweep as one straight-line program, in which common terms are computed once; lower triangle of H."""
+    """Return a sweep as one straight-line program, in which common terms are computed once; lower triangle of H."""
     symbols = [ca.SX.sym(port.name, port.size) for port in routine.inputs]
     outputs = unroll(routine.sweep).call(symbols)
     outputs[-1] = ca.sparsify(ca.tril(outputs[-1]))
@@ -62,7 +62,7 @@ def program(routine: LoopedRoutine) -> Kernel:
 
 
 def points(problem: Problem, n: int) -> dict[str, np.ndarray]:
-    """Random points around the initial state, controls within their bounds."""
+    """Draw random points around the initial state, with controls inside their bounds."""
     random = np.random.default_rng(0)
     box = {r.index: (max(r.lower, -1e4), min(r.upper, 1e4)) for r in problem.rows if r.kind == "control"}
     low, high = np.array([box.get(j, (-1.0, 1.0)) for j in range(problem.nu)]).T
@@ -76,7 +76,7 @@ def points(problem: Problem, n: int) -> dict[str, np.ndarray]:
 
 
 def disagreement(problem: Problem, steps: int) -> float:
-    """Largest difference of the Hessians of an interval by both sweeps, relative to the largest element."""
+    """Return the largest difference of the Hessians of an interval by both sweeps, relative to the largest element."""
     data, worst = points(problem, 5), 0.0
     routines = [curved(problem, ExplicitRungeKutta(RK4, steps, "none"), scheme) for scheme in SWEEPS]
     for i in range(5):

@@ -1,5 +1,7 @@
-"""[T09]: gradients and impulse responses of single shooting, counted; rod.py has its heat equation, rows.py chapter "
-"7."""
+"""[T09]: the operations of gradients and impulse responses of single shooting are counted.
+
+rod.py has its heat equation, rows.py has chapter 7.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ STATES = ("cA", "cB", "T", "Tc")
 
 
 def figure_6_3(run: Run) -> Exhibit:
-    """The stabilised map (6.31)."""
+    """Draw the stabilised map (6.31)."""
     x, u = adjoint_gradient.stabilised(10)
     figure, axes = sheet(1, 2)
     curves(axes[0, 0], range(11), {"x1": x[:, 0], "x2": x[:, 1]}, xlabel="k", title="states")
@@ -45,7 +47,7 @@ def figure_6_3(run: Run) -> Exhibit:
 
 
 def figure_6_4(run: Run) -> Exhibit:
-    """Operations of a gradient over the horizon."""
+    """Count the operations of a gradient over the horizon."""
     horizons = HORIZONS[: run.share(len(HORIZONS), 4)]
     methods = {"finite differences": "finite_differences", "forward": "forward", "adjoint": "adjoint"}
     found: dict[str, list[float]] = {word: [] for word in methods}
@@ -79,7 +81,7 @@ def figure_6_4(run: Run) -> Exhibit:
 
 
 def figure_6_6(run: Run) -> Exhibit:
-    """Steady states over both controls."""
+    """Draw the steady states over both controls."""
     flows = np.linspace(2.0, 40.0, run.share(77, 5))
     figure, axes = sheet(1, 4, 3.2, 2.8)
     for cooling, colour in zip((-8.0, -5.0, -2.0, 0.0), (BLUE, GREEN, ORANGE, RED), strict=True):
@@ -101,7 +103,7 @@ def figure_6_6(run: Run) -> Exhibit:
 
 
 def figures_6_7_to_6_9(run: Run) -> Exhibit:
-    """The simulation of an hour, and the sensitivities of every sample."""
+    """Draw the simulation of an hour, and the sensitivities of every sample."""
     case = problems.reactor(run.share(50, 10))
     tools: Any = derivatives.build(case.ocp, case.outputs, case.options)
     x, (A, B) = tools.simulate(case.x0, case.u).x, tools.sensitivities(case.x0, case.u)
@@ -128,7 +130,7 @@ def figures_6_7_to_6_9(run: Run) -> Exhibit:
 
 
 def figure_6_10(run: Run) -> Exhibit:
-    """Operations of the impulse response matrix from known matrices."""
+    """Count the operations of the impulse response matrix from known matrices."""
     horizons = HORIZONS[: run.share(6, 4)]
     found: dict[str, list[float]] = {"forward": [], "adjoint": [], "alternative": [], "structure ignored": []}
     for N in horizons:
@@ -150,7 +152,7 @@ def figure_6_10(run: Run) -> Exhibit:
 
 
 def table_6_7(run: Run) -> Exhibit:
-    """Operations of Algorithms 6.7 and 6.8 in the three scenarios."""
+    """Count the operations of Algorithms 6.7 and 6.8 in the three scenarios."""
     figure, axes = sheet(1, 3, 3.6)
     powers_of = []
     for axis, (title, (every, step, expected)), fig in zip(
@@ -187,7 +189,7 @@ def table_6_7(run: Run) -> Exhibit:
 
 
 def tables_6_3_and_6_4(_: Run) -> Exhibit:
-    """What the algorithms cost on four problems."""
+    """Count the operations of the algorithms on four problems."""
     tables = []
     for title, each in choice.tables().items():
         lines = [(name, *map(float, values)) for name, values in each.items()]

@@ -1,4 +1,4 @@
-"""[Z20]: a constant Hessian for economic NMPC, on the evaporation process and on the energy-optimal car."""
+"""[Z20]: economic NMPC has a constant Hessian, on the evaporation process and on the energy-optimal car."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ N = evaporation.N
 
 
 def figure_1(run: Run) -> Exhibit:
-    """Residuals of full-step SQP with four Hessians."""
+    """Draw the residuals of full-step SQP with four Hessians."""
     found = {WORDS.get(name, name): each[2] for name, each in evaporation.figure1().items()}
     figure, axes = sheet(1, 1, 6.0, 3.2)
     for name, values in found.items():
@@ -61,7 +61,7 @@ def figure_1(run: Run) -> Exhibit:
 
 
 def figure_2(run: Run) -> Exhibit:
-    """A tracking problem, rotated backwards into an economic one: SQP with exact Hessians on both."""
+    """Run SQP with exact Hessians on a tracking problem, and on the economic one that a rotation makes of it."""
     found = {name: rotation_errors(name == "rotated") for name in ("original", "rotated")}
     figure, axes = sheet(1, 1, 5.0, 2.8)
     shown = {name: [max(v, 1e-14) for v in errors] for name, errors in found.items()}
@@ -78,7 +78,7 @@ def figure_2(run: Run) -> Exhibit:
 
 
 def ipopt(run: Run) -> Exhibit:
-    """Iterations of IPOPT on the evaporation process with the exact Hessian and with M."""
+    """Count IPOPT's iterations on the evaporation process with the exact Hessian and with M."""
     horizon = run.share(N, 20)
     exact, constant = (ipopt_iterations(horizon, M) for M in (None, tuning().M))
     return Exhibit(
@@ -92,7 +92,7 @@ def ipopt(run: Run) -> Exhibit:
 
 
 def lemma_7(run: Run) -> Exhibit:
-    """The semidefinite program on random stabilisable problems with the cost-to-go as terminal cost."""
+    """Solve the semidefinite program for random stabilisable problems with the cost-to-go as terminal cost."""
     count, solved, indefinite = run.share(40, 4), 0, 0
     for seed in range(count):
         lq, _ = random_problem(seed)
@@ -111,7 +111,7 @@ def lemma_7(run: Run) -> Exhibit:
 
 
 def figure_3(run: Run) -> Exhibit:
-    """Losses of nine schemes over the initial distance of the pressure."""
+    """Measure the losses of nine schemes over the initial distance of the pressure."""
     samples, distances = run.share(400, 4), (1.0, 2.0, 4.0, 7.0, 10.0)
     found = {dP: losses.process(dP, samples) for _, dP in run.some(distances, 1)}
     last = found[max(found)]
@@ -138,7 +138,7 @@ def figure_3(run: Run) -> Exhibit:
 
 
 def figure_4(run: Run) -> Exhibit:
-    """Losses of the car over the side step, foreseen or not."""
+    """Measure the losses of the car over the side step, foreseen or not."""
     samples, sides = run.share(300, 2), (0.0, 0.5, 1.0, 2.0, 3.0)
     found = {
         word: {side: losses.car(side, word == "foreseen", samples) for _, side in run.some(sides, 1)}
@@ -165,7 +165,7 @@ def figure_4(run: Run) -> Exhibit:
 
 
 def periodic(run: Run) -> Exhibit:
-    """Periodic LETEMPC: M_k along an orbit; its control differs from the economic one to second order."""
+    """Compare periodic LETEMPC, M_k along an orbit: its control differs from the economic one to second order."""
     offsets = [2.0, 1.0, 0.5, 0.25][: run.share(4, 2)]
     both = store.first_controls(offsets)
     difference = np.abs(both[:, 0] - both[:, 1])
@@ -193,7 +193,7 @@ def periodic(run: Run) -> Exhibit:
 
 
 def wanted_speed(_: Run) -> Exhibit:
-    """The gain per metre that makes a wanted speed the best steady one."""
+    """Compute the gain per metre that makes a wanted speed the best steady one."""
     rows, worst = [], 0.0
     for kmh in (30.0, 50.0, 80.0, 120.0):
         alpha = driving.gain(kmh / 3.6)

@@ -1,4 +1,7 @@
-"""Tables 6.3 and 6.4 in numbers: operations of every method for four problems, those of 6.7 included where needed."""
+"""Tables 6.3 and 6.4 in numbers: the operations of every method for four problems.
+
+They include the operations of Algorithm 6.7 where a method needs it.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,10 @@ METHODS = {
 
 
 def operations(case: Case) -> tuple[dict[str, int], dict[str, int], int, int]:
-    """Gradient and impulse response matrix by method; the last row of the matrix by 6.7 and 6.6, and by products."""
+    """Count the operations of gradient and impulse response matrix by method.
+
+    The last two results are those of the last row of the matrix, by Algorithms 6.7 and 6.6 and by products.
+    """
     counts = Counts(derivative_model(case.ocp, case.outputs, None, case.options))
     first = counts.sensitivities.total
 
@@ -45,7 +51,7 @@ def operations(case: Case) -> tuple[dict[str, int], dict[str, int], int, int]:
 
 
 def tables() -> dict[str, dict[str, list[int]]]:
-    """Title -> row -> operations for every problem."""
+    """Return {title: {row: operations for every problem}}."""
     found = [operations(make()) for make in CASES.values()]
     return {
         "gradient": {row: [f[0][row] for f in found] for row in METHODS},

@@ -1,4 +1,4 @@
-"""Objective (7.16) with exact l1 penalties by IPOPT: one slack per row and point of the integrator."""
+"""IPOPT minimises objective (7.16) with exact l1 penalties: one slack per row and point of the integrator."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from examples import vandevusse
 
-#: Nodes and weights of classical Runge-Kutta steps, spelled here once more.
+#: Nodes and weights of classical Runge-Kutta steps, written independently of the package.
 STEPS = 4
 STAGE_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 QUIET = {"print_time": 0, "ipopt.print_level": 0, "ipopt.sb": "yes"}
@@ -17,7 +17,7 @@ EXACT = {"ipopt.tol": 1e-12, "ipopt.bound_relax_factor": 0.0, "ipopt.max_iter": 
 
 
 def interval() -> ca.Function:
-    """(x, u) -> x_next and the stage points side by side, whose weights in the integral are STAGE_WEIGHTS in turn."""
+    """Return (x, u) -> (x_next, stage points side by side); STAGE_WEIGHTS are their weights in the integral."""
     x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
     rates, h = ca.Function("f", [x, u], [vandevusse.rates(x, u)]), vandevusse.SAMPLING / STEPS
     state, points = x, []
@@ -31,7 +31,7 @@ def interval() -> ca.Function:
 
 
 def tracking(points: Any, u: Any, reference: np.ndarray) -> Any:
-    """The integral of the cost without penalties over an interval."""
+    """Return the integral of the cost without penalties over an interval."""
     h, cost = vandevusse.SAMPLING / STEPS, 0
     for i in range(points.shape[1]):
         off = ca.vertcat(points[1, i], points[2, i], u) - reference
@@ -40,13 +40,13 @@ def tracking(points: Any, u: Any, reference: np.ndarray) -> Any:
 
 
 def price(penalty: float) -> np.ndarray:
-    """Of one unit of each row at each point of an interval, (2, points)."""
+    """Return the price of one unit of each row at each point of an interval, (2, points)."""
     h = vandevusse.SAMPLING / STEPS
     return penalty * h * np.outer(list(vandevusse.WEIGHTS.values()), np.tile(STAGE_WEIGHTS, STEPS))
 
 
 def cost_of(u: np.ndarray, reference: np.ndarray, penalty: float) -> float:
-    """(7.16) of controls (N, 2), with the max itself."""
+    """Return (7.16) of the controls u (N, 2), with the exact max."""
     step, x, total = interval(), vandevusse.steady_state(vandevusse.ENDS[0]), 0.0
     bounds = np.array(list(vandevusse.HIGHEST.values()))[:, None]
     for k, control in enumerate(u):
@@ -58,7 +58,7 @@ def cost_of(u: np.ndarray, reference: np.ndarray, penalty: float) -> float:
 
 
 def optimum(reference: np.ndarray, penalty: float, u: np.ndarray) -> float:
-    """IPOPT's value of (7.16) by multiple shooting, from the plan that the controls u lead to."""
+    """Return IPOPT's value of (7.16) by multiple shooting, from the plan to which the controls u lead."""
     step, N = interval(), len(u)
     X, U, S = ca.MX.sym("X", 4, N + 1), ca.MX.sym("U", 2, N), ca.MX.sym("S", 2 * 4 * STEPS, N)
     highest, cost = np.array(list(vandevusse.HIGHEST.values())), ca.MX(0)

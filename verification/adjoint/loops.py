@@ -1,4 +1,4 @@
-"""A closed loop with any controller, and the loop in which IPOPT solves every sample to convergence."""
+"""A closed loop can have any controller; in one of them IPOPT solves every sample to convergence."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Step = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """States (samples + 1, nx), controls (samples, nu), and the cost of all samples."""
+    """A closed loop has states (samples + 1, nx), controls (samples, nu), and the cost of all samples."""
 
     x: np.ndarray
     u: np.ndarray
@@ -26,7 +26,9 @@ class Loop:
 def loop_of(
     step: Step, plant: Controller, x0: np.ndarray, references: np.ndarray, weight: np.ndarray, dt: float
 ) -> Loop:
-    """u = step(x, reference) at every sample; the cost is 1/2 |(x, u) - reference|^2 with a diagonal weight (nx + nu,).
+    """Simulate u = step(x, reference) at every sample.
+
+    The cost is 1/2 |(x, u) - reference|^2 with a diagonal weight (nx + nu,).
 
     ``references``: (samples, nx + nu).
     """
@@ -42,7 +44,7 @@ def loop_of(
 
 
 def converged(ocp: OCP, steps: int) -> Step:
-    """The control of IPOPT with ``steps`` RK4 steps per interval, started at its last solution."""
+    """Return the control law of IPOPT with ``steps`` RK4 steps per interval, started at its last solution."""
     problem = classify(ocp)
     solver, last = Reference(problem, replace(CLASSICAL, steps=steps)), dict[str, np.ndarray]()
 
@@ -61,8 +63,10 @@ def converged(ocp: OCP, steps: int) -> Step:
 
 
 def follows(controller: Controller, counts: list[tuple[int, int, int]] | None = None) -> Step:
-    """The control of a controller whose references are set before every sample; ``counts`` collects products,
-    simulations and statuses of its samples, from the first one on."""
+    """Return the control law of a controller whose references are set before every sample.
+
+    ``counts`` collects (products, simulations, status) of every sample.
+    """
     dims = controller.dims
 
     def step(x: np.ndarray, reference: np.ndarray) -> np.ndarray:

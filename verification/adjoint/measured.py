@@ -1,4 +1,4 @@
-"""Counts of derivative functions over horizon and states, and exponents fitted to them."""
+"""Operations of derivative functions are counted over horizons and states, and exponents are fitted to them."""
 
 from __future__ import annotations
 
@@ -30,33 +30,36 @@ def _model(make: Callable[[int], Case]) -> DerivativeModel:
 
 
 def counts(make: Callable[[int], Case], N: int) -> Counts:
-    """Counts of the case of any horizon: the functions of an interval are the same for all."""
+    """Return the counts of a case for the horizon N; the functions of an interval are the same for all horizons."""
     model = _model(make)
     problem = replace(model.problem, N=N, dt=(model.problem.dt[0],) * N)
     return Counts(replace(model, problem=problem))
 
 
 def structure_ignored(counts: Counts) -> int:
-    """Operations of the impulse response matrix whose block (n, k) takes n - k - 1 products with A of its own."""
+    """Count the operations of the impulse response matrix if block (n, k) has n - k - 1 products with A of its own."""
     products = sum((counts.N - d) * (d - 1) for d in range(1, counts.N))
     return counts.insertion.total + 2 * counts.nx**2 * counts.nu * products
 
 
 def exponent(horizons: Sequence[float], values: Sequence[float], least: float = LEAST) -> float:
-    """Slope of log(value) over log(N), N >= ``least``."""
+    """Return the slope of log(value) over log(N), N >= ``least``."""
     pairs = [(N, v) for N, v in zip(horizons, values, strict=True) if least <= N]
     logs = np.log(np.array(pairs, float))
     return float(np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
 
 
 def integration(case: Case) -> tuple[int, int]:
-    """Operations of Algorithms 6.7 and 6.8."""
+    """Count the operations of Algorithms 6.7 and 6.8."""
     counts = Counts(derivative_model(case.ocp, case.outputs, None, case.options))
     return counts.sensitivities.total, counts.responses.total
 
 
 def crossover(make: Callable[[int], Case], N: int, most: int = 100) -> int:
-    """Least nx from which 6.8 takes fewer operations than 6.7, by bisection; their difference has one sign change."""
+    """Return the least nx from which 6.8 takes fewer operations than 6.7, by bisection.
+
+    The difference of their operations has one sign change.
+    """
 
     def alternative_wins(nx: int) -> bool:
         before, after = integration(make(nx))

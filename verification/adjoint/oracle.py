@@ -1,4 +1,4 @@
-"""Independent routes to derivatives of single-shooting problems: CasADi on the whole simulation, complex steps."""
+"""Derivatives of single-shooting problems follow by independent routes: CasADi on the simulation, complex steps."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model by its expressions: f(x, u, p), a cost of path and end, outputs; the map of an interval is spelled here.
+    """A model is given by its expressions: f(x, u, p), a cost of path and end, and outputs.
 
-    ``steps``: classical Runge-Kutta steps per interval of length dt_k; 0: f is the map itself. ``rate``: integrated by
-    the same scheme, as one more state.
+    The map of an interval is written independently of the package. ``steps``: classical Runge-Kutta steps per interval
+    of length dt_k; 0: f is the map itself. ``rate``: integrated by the same scheme, as one more state.
     """
 
     x: Any
@@ -32,7 +32,7 @@ class Model:
     rate: Any = 0.0
 
     def interval(self, x: Any, u: Any, p: Any, dt: float) -> tuple[Any, Any]:
-        """x_next and the integral of the rate."""
+        """Return x_next and the integral of the rate."""
         if not self.steps:
             return ca.Function("f", [self.x, self.u, self.p], [self.f])(x, u, p), 0.0
         F = ca.Function("F", [self.x, self.u, self.p], [ca.vertcat(self.f, self.rate)])
@@ -47,7 +47,7 @@ class Model:
         return y[:n], y[n]
 
     def hessians(self, x0: Array, u: Array, p: Array, lam: Array) -> Array:
-        """d2 (lam_k' Phi(x_k, u_k, p_k)) / d(x, u)^2 of every interval along the simulation, (N, nz, nz)."""
+        """Return d2 (lam_k' Phi(x_k, u_k, p_k)) / d(x, u)^2 of every interval along the simulation, (N, nz, nz)."""
         x, found = x0, []
         for k, dt in enumerate(self.dt):
             following = self.interval(self.x, self.u, ca.DM(p[k]), dt)[0]
@@ -58,7 +58,7 @@ class Model:
         return np.array(found)
 
     def derivatives(self, x0: Array, u: Array, p: Array) -> dict[str, Array]:
-        """J, x, z, dJ/du (N, nu), dz/du, and the Jacobian of all states with respect to all controls."""
+        """Return J, x, z, dJ/du (N, nu), dz/du, and the Jacobian of all states with respect to all controls."""
         N, nu = u.shape
         U = ca.SX.sym("U", N * nu)
         cost = ca.Function("l", [self.x, self.u, self.p], [self.cost])
@@ -88,7 +88,7 @@ class Model:
 
 
 def complex_step(function: Callable[[Array], Array], u: Array) -> Array:
-    """d function / du by complex perturbations, whose error is that of rounding alone: (outputs, inputs)."""
+    """Return d function / du by complex perturbations, exact to rounding: (outputs, inputs)."""
     h = 1e-40
     columns = []
     for i in range(u.size):
@@ -99,6 +99,6 @@ def complex_step(function: Callable[[Array], Array], u: Array) -> Array:
 
 
 def normwise(found: Array, expected: Array) -> float:
-    """|found - expected| / |expected| in the Frobenius norm; the absolute error where ``expected`` is zero."""
+    """Return |found - expected| / |expected| in the Frobenius norm; the absolute error where ``expected`` is zero."""
     scale = float(np.linalg.norm(expected))
     return float(np.linalg.norm(np.asarray(found, float) - expected)) / (scale if scale else 1.0)

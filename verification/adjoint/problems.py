@@ -1,4 +1,4 @@
-"""Models of the derivative benchmarks: the discrete map (6.31), the Van de Vusse reactor (6.32), a heat rod.
+"""The derivative benchmarks have three models: the discrete map (6.31), the Van de Vusse reactor (6.32), a heat rod.
 
 Each is an OCP with outputs, a trajectory along which derivatives are taken, and the options of its integrator.
 """
@@ -21,7 +21,10 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A problem with the point at which its derivatives are evaluated; ``model`` spells it independently."""
+    """A case is a problem with the point at which its derivatives are evaluated.
+
+    ``model`` states the problem independently.
+    """
 
     name: str
     ocp: OCP
@@ -40,7 +43,7 @@ def _modelled(ocp: OCP, z: Any, cost: Any, terminal: Any, steps: int) -> Model:
 
 
 def discrete_map(N: int) -> Case:
-    """(6.31), stabilised, with Q = R = P = I."""
+    """Return (6.31), stabilised, with Q = R = P = I."""
     ocp = adjoint_gradient.build_ocp(N)
     z = adjoint_gradient.output(ocp)
     x, u = adjoint_gradient.stabilised(N)
@@ -58,7 +61,7 @@ REACTOR_WEIGHTS = ([0.1, 10.0], [10.0, 10.0])
 
 
 def reactor_rates(x: Any, u: Any, exp: Any = ca.exp) -> list[Any]:
-    """Derivatives per hour of (cA, cB, T, Tc) under u = (flow per volume [1/h], cooling [MJ/h])."""
+    """Return the derivatives per hour of (cA, cB, T, Tc) under u = (flow per volume [1/h], cooling [MJ/h])."""
     cA, cB, T, Tc = (x[i] for i in range(4))
     k1 = 1.287e12 * exp(-9758.3 / (T + 273.15))
     k2 = 9.042e6 * exp(-8560 / (T + 273.15))
@@ -72,7 +75,10 @@ def reactor_rates(x: Any, u: Any, exp: Any = ca.exp) -> list[Any]:
 
 
 def steady_states(flows: Array, cooling: float) -> Array:
-    """States (flows, 4) of the reactor at rest, each started from the one before; NaN where Newton's method fails."""
+    """Return the states (flows, 4) of the reactor at rest; NaN where Newton's method fails.
+
+    Newton's method starts at the result for the previous flow.
+    """
     x, v = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
     equations = {"x": x, "p": v, "g": ca.vertcat(*reactor_rates(x, v))}
     solver = ca.rootfinder("steady", "newton", equations, {"abstol": 1e-8, "max_iter": 100, "error_on_fail": False})
@@ -86,7 +92,7 @@ def steady_states(flows: Array, cooling: float) -> Array:
 
 
 def chained(A: Array, B: Array) -> Array:
-    """dx_n / du_0 for n = 1, ..., N: A_{n-1} ... A_1 B_0."""
+    """Return dx_n / du_0 for n = 1, ..., N: A_{n-1} ... A_1 B_0."""
     found = [B[0]]
     for k in range(1, len(A)):
         found.append(A[k] @ found[-1])
@@ -94,13 +100,16 @@ def chained(A: Array, B: Array) -> Array:
 
 
 def reactor_inputs(N: int, sample: float = SAMPLE) -> Array:
-    """The steps of the thesis: flow 12 then 1 from 2/3 h on, cooling -3 then -1 MJ/h from 1/3 h on."""
+    """Return the steps of the thesis: flow 12, then 1 from 2/3 h on; cooling -3, then -1 MJ/h from 1/3 h on."""
     t = np.arange(N) * sample
     return np.column_stack([np.where(t < 2 / 3, 12.0, 1.0), np.where(t < 1 / 3, -3.0, -1.0)])
 
 
 def reactor(N: int = 50, sample: float = SAMPLE, steps: int = STEPS, unroll: Any = "auto") -> Case:
-    """N samples; z = (cB, T), least squares about (750, 90) with Q = diag(0.1, 10), R = 10 I."""
+    """Return the reactor over N samples.
+
+    Z = (cB, T), least squares about (750, 90) with Q = diag(0.1, 10), R = 10 I.
+    """
     ocp = OCP("reactor", T=N * sample, N=N)
     cA, cB = ocp.state("cA", unit="mol/m^3"), ocp.state("cB", unit="mol/m^3", initial=750.0)
     T, Tc = ocp.state("T", unit="degC", initial=85.0), ocp.state("Tc", unit="degC", initial=100.0)
@@ -120,13 +129,13 @@ def reactor(N: int = 50, sample: float = SAMPLE, steps: int = STEPS, unroll: Any
 
 
 def rod_step(nx: int) -> Array:
-    """Matrix of one RK4 step of the rod without heat at rate 0.5 and sample 1, nx states."""
+    """Return the matrix of one RK4 step of the rod without heat at rate 0.5 and sample 1, nx states."""
     hA = 0.5 * (np.diag(-2 * np.ones(nx)) + np.diag(np.ones(nx - 1), 1) + np.diag(np.ones(nx - 1), -1))
     return np.asarray(sum(np.linalg.matrix_power(hA, i) / math.factorial(i) for i in range(5)))
 
 
 def rod_profile(nx: int) -> Array:
-    """Two warm places on a cold rod."""
+    """Return the temperatures of a cold rod with two warm spots."""
     place = np.arange(1, nx + 1) / (nx + 1)
     return np.exp(-(((place - 0.25) / 0.05) ** 2)) + 0.7 * np.exp(-(((place - 0.7) / 0.08) ** 2))
 
@@ -134,7 +143,7 @@ def rod_profile(nx: int) -> Array:
 def rod(
     nx: int, N: int = 10, sample: float = 1.0, rate: float = 0.5, unroll: Any = "auto", heated: bool = True
 ) -> Case:
-    """psi_i' = rate (psi_{i-1} - 2 psi_i + psi_{i+1}), both ends heated by u: one RK4 step per sample for any nx.
+    """Return psi_i' = rate (psi_{i-1} - 2 psi_i + psi_{i+1}), both ends heated by u, with one RK4 step per sample.
 
     ``heated`` False: the first end only, as in the thesis. 4 rate sample < 2.78 is the limit of stability.
     """

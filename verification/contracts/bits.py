@@ -1,4 +1,4 @@
-"""Contracts of copies: whatever holds a controller, the bits of its samples are the same."""
+"""Contracts of copies: the samples of a controller have the same bits, whatever object holds it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SAMPLES = 5
 
 
 def fly(controller: Controller, subject: Subject, first: int = 0, samples: int = SAMPLES) -> Array:
-    """Controls (samples, nu) at states that are measured, of which number 2 is NaN."""
+    """Return the controls (samples, nu) at measured states; state number 2 is NaN."""
     u = []
     for k in range(first, first + samples):
         x = subject.measured(k)
@@ -26,7 +26,7 @@ def fly(controller: Controller, subject: Subject, first: int = 0, samples: int =
 
 
 def copies_have_the_same_bits(subject: Subject) -> None:
-    """A copy and a pickle, made in mid-run, take the samples of the controller; none of them moves another one."""
+    """Assert that a copy and a pickle, made in mid-run, compute the same samples, and that none changes another."""
     controller = subject.controller()
     fly(controller, subject, samples=3)
     before = bytes(controller)
@@ -39,7 +39,7 @@ def copies_have_the_same_bits(subject: Subject) -> None:
 
 
 def a_batch_has_the_bits_of_its_controllers(subject: Subject) -> None:
-    """Every byte of every struct after samples by two threads; the same solutions and shifted plans."""
+    """Assert that every byte of every struct is equal after samples by two threads, solutions and shifts."""
     first = subject.controller()
     many, singles = Batch(first, 3, 2), [first.copy() for _ in range(3)]
     for k in range(SAMPLES):
@@ -62,7 +62,7 @@ def a_batch_has_the_bits_of_its_controllers(subject: Subject) -> None:
 
 
 def a_recording_replays(subject: Subject) -> None:
-    """The file of a Recorder has the states, controls and statuses of the loop, and another controller repeats them."""
+    """Assert that a recording has states, controls and statuses of its loop, and that another controller repeats it."""
     flown, other = subject.controller(), subject.controller()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "run.rec"
@@ -77,7 +77,7 @@ def a_recording_replays(subject: Subject) -> None:
 
 
 def the_package_does_what_the_whole_text_does(subject: Subject) -> None:
-    """Loops of the exported unit and of the text that people edit, before anything is left out of it, to the bit."""
+    """Assert that loops of the exported unit and of the full text, before anything is left out, agree to the bit."""
     package, complete = whole.packages(subject.sample)
     assert whole.errors_of(complete) == ""
     ours, theirs = (whole.closed_loop(text).splitlines() for text in (package, complete))

@@ -1,7 +1,7 @@
-"""The registry of contracts, and who is under them.
+"""Contracts are registered here, with the rule which samples are held to them.
 
-A contract is registered here once. A sample is under it unless the contract excuses its components; the excuse says
-why, and is a cell of the table.
+A sample is held to a contract unless the contract excuses its components. The excuse states the reason, and is a cell
+of the table.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from verification.rendered import model
 from verification.samples import SAMPLES
 from verification.timed import Sample
 
-#: All that are held to contracts: the samples of the compiler's output, and small problems, some with other data.
+#: All samples that are held to contracts: those of the compiler's output, and small problems, some with other data.
 HELD = (*SAMPLES, *(Sample(f"case {name}", c.make, options_of(c), c.x0, c.data) for name, c in CASES.items()))
 
 #: The components of every sample, as the compiler chooses them; test_samples.py compares it with what is lowered.
@@ -35,14 +35,17 @@ FIRST = (
 )
 
 
-#: What is in the place of a seam in a row of the table that is a feature of problems.
+#: Name that replaces the seam in rows of the table for features of problems.
 PROBLEM = "problem"
 
 
 @dataclass(frozen=True)
 class Components:
-    """What a sample is made of: names of its components by seam, precision, whether its package has solve(), what its
-    problem uses beyond controls, bounds and least squares, and whether data can be set at run time."""
+    """Components describe a sample: names of its components by seam, precision, and the features of its problem.
+
+    ``solves``: the package has solve(); ``uses``: what the problem has beyond controls, bounds and least squares;
+    ``sets``: data can be set at run time.
+    """
 
     seams: dict[str, str]
     precision: str
@@ -52,23 +55,27 @@ class Components:
 
     @property
     def estimates(self) -> bool:
-        """True if it is an estimator."""
+        """Return True for an estimator."""
         return self.seams["algorithm"] in ("moving_horizon", "kalman_filter")
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
-        """(seam, component), the precision, and (PROBLEM, feature): rows of the table."""
+        """Yield the rows of the table: (seam, component), the precision, and (PROBLEM, feature)."""
         return iter([*self.seams.items(), ("precision", self.precision), *((PROBLEM, use) for use in self.uses)])
 
 
-#: Why components are not under a contract, or "".
+#: The reason why components are excused from a contract, or "".
 Excuse = Callable[[Components], str]
 
 
 @dataclass(frozen=True)
 class Contract:
-    """``hold`` raises AssertionError for a Subject that breaks it; ``excuse``: which components are not under it.
-    ``each``: samples of every component that `make test` holds to it, beside one of every feature of problems if
-    that is more than one; `make test-all` takes all of them. ``tools``: what it runs."""
+    """``hold`` raises AssertionError for a Subject that breaks the contract.
+
+    ``excuse`` tells which components are excused.
+
+    ``each``: number of samples of every component that `make test` holds to it, besides one of every feature of
+    problems if ``each`` exceeds one; `make test-all` takes all samples. ``tools``: programs that it runs.
+    """
 
     hold: Callable[[Subject], None]
     excuse: Excuse
@@ -77,7 +84,7 @@ class Contract:
 
     @property
     def name(self) -> str:
-        """In words."""
+        """Return the name in words."""
         return self.hold.__name__.replace("_", " ")
 
 
@@ -148,13 +155,13 @@ CONTRACTS = (
 
 @cache
 def components() -> dict[str, Components]:
-    """Sample -> its components, from the file."""
+    """Return {sample: its components}, from the file."""
     found = json.loads(FILE.read_text(encoding="utf-8"))
     return {name: Components(**(of | {"uses": tuple(of["uses"])})) for name, of in found.items()}
 
 
 def chosen_by_the_compiler(sample: Sample) -> dict[str, object]:
-    """The entry of a sample in the file."""
+    """Return the entry of a sample in the file."""
     found, parts = model(sample), {}
     for seam in SEAMS:
         part = getattr(found.parts, seam, None)
@@ -169,14 +176,14 @@ def chosen_by_the_compiler(sample: Sample) -> dict[str, object]:
 
 
 def rows() -> tuple[tuple[str, str], ...]:
-    """(seam, name) of every registered component, the precisions, features of problems: the rows of the table."""
+    """Return the rows of the table: (seam, name) of every registered component, precisions, features of problems."""
     registered = ((seam, name) for seam in SEAMS for name in REGISTRIES[seam])
     uses = sorted({use for found in components().values() for use in found.uses})
     return (*registered, ("precision", "double"), ("precision", "single"), *((PROBLEM, use) for use in uses))
 
 
 def under(contract: Contract) -> list[Sample]:
-    """Samples that are held to a contract; those first that share their packages."""
+    """Return the samples that are held to a contract, first those that share their packages."""
     order = {name: number for number, name in enumerate(FIRST)}
     known = components()
     found = [sample for sample in HELD if not contract.excuse(known[sample.name])]
@@ -184,7 +191,7 @@ def under(contract: Contract) -> list[Sample]:
 
 
 def in_make_test(contract: Contract) -> list[Sample]:
-    """Those of them that `make test` takes: so many that every component has a few."""
+    """Return the samples that `make test` holds to a contract, a few of every component."""
     counts: dict[tuple[str, str], int] = {}
     taken = []
     for sample in under(contract):
@@ -197,13 +204,13 @@ def in_make_test(contract: Contract) -> list[Sample]:
 
 
 def reason(contract: Contract, part: tuple[str, str]) -> str:
-    """Why no sample with a component is under a contract."""
+    """Return the reason why no sample with a component is held to a contract."""
     excuses = {contract.excuse(sample) for sample in components().values() if part in set(sample)} - {""}
     return ", ".join(sorted(excuses)) or "no sample"
 
 
 def table() -> tuple[Sequence[str], Sequence[Sequence[str]], dict[str, str]]:
-    """Titles, lines and reasons: of every component the number of samples in `make test` and in all, by contract."""
+    """Return titles, lines and reasons: for every component the samples in `make test` and in all, by contract."""
     reasons: dict[str, str] = {}
     lines = []
     for part in rows():

@@ -1,4 +1,4 @@
-"""Contracts of samples: whatever a controller or an estimator is given, what it returns can be used."""
+"""Contracts of samples: results can be used, whatever data a controller or an estimator receives."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SEGMENTS, GOOD = 6, 60
 
 
 def controls_are_safe(subject: Subject) -> None:
-    """Each control is finite and inside its bounds after evil data; after good data a sample is what it was before."""
+    """Assert that controls are finite and inside their bounds after evil data, and that good data restore samples."""
     controller, rest = subject.controller(), subject.measured()
     fresh = subject.controller()
     for _ in range(GOOD):
@@ -49,8 +49,10 @@ def controls_are_safe(subject: Subject) -> None:
 
 
 def estimates_are_finite(subject: Subject) -> None:
-    """Each estimate and its covariance are finite after evil measurements; after good ones the estimator is OK again,
-    if it would have been without the evil ones."""
+    """Assert that estimates and covariances are finite after evil measurements.
+
+    After good ones the estimator must be OK again, if it would have been OK without the evil ones.
+    """
     observer, random = subject.observer(), np.random.default_rng(3)
     fresh, nu = observer.copy(), observer.estimation.nu
     rest = np.zeros(nu)
@@ -72,21 +74,23 @@ def estimates_are_finite(subject: Subject) -> None:
 
 
 def data_that_are_set_are_data_that_are_declared(subject: Subject) -> None:
-    """After other references, weights and parameters are set, at every node where nodes have their own, solve() returns
-    what IPOPT finds with these data."""
+    """Assert that solve() returns IPOPT's solution for new references, weights and parameters.
+
+    They are set at every node where nodes have their own.
+    """
     controller, x0 = subject.controller(), subject.measured()
     data = subject.data(x0)
     compare_with_ipopt(subject, controller, x0, replace(data, **_change(controller, data)))
 
 
 def _change(controller: Controller, data: Data) -> dict[str, Array]:
-    """Set numbers near those that are declared; the arrays of ``data`` that change."""
+    """Set numbers near the declared ones; return the arrays of ``data`` that change."""
     random, dims = np.random.default_rng(11), controller.dims
     layouts: Mapping[Any, str] = controller.description.online
     found: dict[str, Array] = {}
 
     def near(kind: str, values: Array) -> Array:
-        """Values (nodes, ...), all by one factor each, or those of every node by its own."""
+        """Return values (nodes, ...), multiplied by one factor, or by one for each node."""
         shape = values.shape if layouts[kind] == "node" else (1, *values.shape[1:])
         return np.asarray(values * (1 + 0.05 * random.uniform(-1, 1, shape)))
 

@@ -1,4 +1,4 @@
-"""Contracts of numbers: derivatives, operations that are stated, and the same controller in the other precision."""
+"""Contracts of numbers: derivatives, stated operations, and agreement between the two precisions."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from nmpc_codegen.oracle.trajectory import interval_map
 from verification.contracts.subject import MOST_ITERATIONS, TOLERANCE, Subject, relative
 from verification.counting import mismatches
 
-#: Relative errors of derivatives; distance of single from double precision, of controls and relative cost.
+#: Largest relative errors of derivatives, by precision.
 DERIVATIVES = {"double": 1e-10, "single": 1e-3}
 NEWTON = 1e-4  # with the Newton steps of a sample
-#: KKT residual of what is nearly a solution; a cost that says that controls matter little.
+#: Largest differences between the precisions, of controls and of the relative cost; a cost difference that shows that
+#: controls matter little.
 CONTROLS, COST, FLAT = 5e-2, 1e-2, 1e-4
 NEARLY = {"double": 1e-5, "single": 1e-2}
 
 
 def linearisation_equals_casadi(subject: Subject) -> None:
-    """[A B] of every interval, after prepare() at a plan that is no solution, is CasADi's Jacobian."""
+    """Assert that [A B] of every interval equals CasADi's Jacobian after prepare() at a plan that is no solution."""
     controller, problem, random = subject.controller(), subject.model.problem, np.random.default_rng(5)
     data, z = subject.data(subject.measured()), ca.MX.sym("z", problem.nx + problem.nu)
     p, dt = ca.MX.sym("p", problem.np), ca.MX.sym("dt")
@@ -39,14 +40,14 @@ def linearisation_equals_casadi(subject: Subject) -> None:
 
 
 def stated_operations_are_counted(subject: Subject) -> None:
-    """Operations of every printed function by class: what is stated is what a counting scalar counts."""
+    """Assert that the stated operations of every printed function, by class, are those of a counting scalar."""
     module = lower(subject.model)
     printed = {routine.name for routine in (*module.routines, *module.called_products)}
     assert mismatches(module, text_of(module), printed) == []
 
 
 def single_is_close_to_double(subject: Subject) -> None:
-    """The same problem in the other precision: cost and controls of solve(), or of samples that have settled."""
+    """Compare cost and controls of solve(), or of settled samples, in the two precisions."""
     found = {}
     for precision in ("double", "single"):
         controller, x0 = subject.controller(precision), subject.measured()

@@ -1,4 +1,4 @@
-"""Contracts of plans in operation: their phases, and what a solution is worth to the next sample."""
+"""Contracts of plans in operation: their phases, and the use of a solution in the next sample."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ KEPT = {"double": 1e-5, "single": 2e-2}
 
 
 def a_preparation_serves_one_feedback(subject: Subject) -> None:
-    """A second feedback, or one after shift() or reset(), is NOT_PREPARED, and its control is finite."""
+    """Assert that a second feedback, or one after shift() or reset(), is NOT_PREPARED with a finite control."""
     controller, x = subject.controller(), subject.measured()
     for between in (lambda: controller.feedback(x), controller.shift, controller.reset):
         controller.prepare()
@@ -25,7 +25,7 @@ def a_preparation_serves_one_feedback(subject: Subject) -> None:
 
 
 def a_sample_keeps_the_solution(subject: Subject) -> None:
-    """A sample where solve() has just been called does not move the plan: its control is that of the solution."""
+    """Assert that a sample right after solve() keeps the plan, and returns the control of the solution."""
     controller, x0, precision = subject.controller(), subject.measured(), subject.options.precision
     solution = controller.solve(x0, TOLERANCE[precision], 300)
     if solution.status is not Status.OK:

@@ -1,4 +1,4 @@
-"""Contracts of plans: what solve() returns, and the residuals and the cost of any plan, by IPOPT and in numpy."""
+"""Contracts of plans: results of solve(), and residuals and cost of any plan, against IPOPT and numpy."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ MULTIPLIERS = ("lam", "mu_x", "mu_u", "mu", "mu_N", "eta")
 
 
 def solve_equals_ipopt(subject: Subject) -> None:
-    """solve() returns the controls, states and cost of IPOPT; in double, numpy finds that the KKT residuals vanish."""
+    """Assert that solve() returns IPOPT's controls, states and cost, and that numpy's KKT residuals vanish."""
     controller, x0 = subject.controller(), subject.measured()
     compare_with_ipopt(subject, controller, x0, subject.data(x0))
 
 
 def compare_with_ipopt(subject: Subject, controller: Controller, x0: Array, data: Data) -> None:
-    """Solve for x0 and these data. Where the problem has several solutions, IPOPT starts once more, at ours, and finds
-    nothing cheaper there."""
+    """Solve for x0 and these data, and compare with IPOPT.
+
+    Where the problem has several solutions, IPOPT starts once more at ours, and must find nothing cheaper there.
+    """
     precision = subject.options.precision
     tol = max(TOLERANCE[precision], ROUGH * (subject.model.parts.algorithm.name == "adjoint_shooting"))
     solution = controller.solve(x0, tol, MOST_ITERATIONS)
@@ -50,7 +52,7 @@ def compare_with_ipopt(subject: Subject, controller: Controller, x0: Array, data
 
 
 def residuals_and_cost_equal_numpy(subject: Subject) -> None:
-    """kkt() and cost of a plan that is no solution; multipliers keep their signs and zeros."""
+    """Compare kkt() and cost of a plan that is no solution with numpy; multipliers keep their signs and zeros."""
     controller, x0, precision = subject.controller(), subject.measured(), subject.options.precision
     controller.solve(x0, TOLERANCE[precision])
     problem, data, random = subject.model.problem, subject.data(x0), np.random.default_rng(7)
@@ -79,5 +81,8 @@ def residuals_and_cost_equal_numpy(subject: Subject) -> None:
 
 
 def has_multipliers(subject: Subject, controller: Controller) -> bool:
-    """True if every multiplier of the problem can be read: neither of augmented states, nor kept by single shooting."""
+    """Return True if every multiplier of the problem can be read.
+
+    This excludes added states, and controllers of single shooting, which keep no multipliers.
+    """
     return hasattr(controller, "lam") and not controller.description.augmentation.count

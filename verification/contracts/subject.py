@@ -1,4 +1,4 @@
-"""A sample with what its contracts read: its model, its compiled package, the states at which it is measured, IPOPT."""
+"""A subject is a sample with its model, its compiled package, measured states, and IPOPT."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ MOST_ITERATIONS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A sample under contracts, compiled for this machine."""
+    """A subject is a sample under contracts, compiled for this machine."""
 
     sample: Sample
     _packages: dict[str, Controller | Observer] = field(default_factory=dict)
 
     @cached_property
     def options(self) -> Options:
-        """The options of the sample, those for another machine without it."""
+        """Return the options of the sample, with a portable target."""
         return replace(self.sample.options, target="portable")
 
     @cached_property
     def model(self) -> Model:
-        """The functions of the package, and its components."""
+        """Return the functions of the package, and its components."""
         return self._model(self.options)
 
     @cached_property
     def text(self) -> Sources:
-        """The package for the target of the sample, without third-party code."""
+        """Return the package for the target of the sample, without third-party code."""
         return texts(self.sample)
 
     def _model(self, options: Options) -> Model:
@@ -70,7 +70,7 @@ class Subject:
         return self._packages[chosen]
 
     def controller(self, precision: Any = None) -> Controller:
-        """A fresh controller, on request in another precision."""
+        """Return a fresh controller, in the given or its own precision."""
         found = self._package(precision)
         assert isinstance(found, Controller)
         fresh = found.copy()
@@ -80,24 +80,26 @@ class Subject:
         return fresh
 
     def observer(self, precision: Any = None) -> Observer:
-        """A fresh estimator, on request in another precision."""
+        """Return a fresh estimator, in the given or its own precision."""
         found = self._package(precision)
         assert isinstance(found, Observer)
         return found.copy()
 
     @cached_property
     def scheme(self) -> Tableau:
-        """The integrator of the package as plain numbers."""
+        """Return the integrator of the package as plain numbers."""
         return tableau(self.model.problem, self.options)
 
     @cached_property
     def oracle(self) -> Reference:
-        """The nonlinear program, without a word from the compiler but the completed problem."""
+        """Return the nonlinear program, built from the completed problem only."""
         return Reference(self.model.problem, self.scheme)
 
     def measured(self, number: int = 0, spread: float = 0.05) -> Array:
-        """State ``number`` of those that are measured: up to ``spread`` of its size from the declared one, or the first
-        one that the sample states."""
+        """Return measured state ``number``, which differs from the declared one by up to ``spread`` of its size.
+
+        If the sample states a first state, it is number 0.
+        """
         x = self.model.problem.x_initial[: self.model.problem.measured]
         if self.sample.x0:
             x = np.array(self.sample.x0, dtype=float)
@@ -107,7 +109,7 @@ class Subject:
         return np.asarray(x + spread * np.where(x != 0, np.abs(x), 0.2) * random.uniform(-1, 1, x.size))
 
     def data(self, x0: Array) -> Data:
-        """What the nonlinear program reads: the data of the sample, and x0."""
+        """Return the data of the nonlinear program: those of the sample, and x0."""
         whole = self.model.problem.x_initial.copy()
         whole[: x0.size] = x0
         return node_data(self.model.problem, x0=whole, **self.sample.data)
@@ -115,13 +117,13 @@ class Subject:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Samples are there for what users are warned of."""
+    """Ignore warnings, which some samples exist to cause."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ProblemWarning)
         yield
 
 
 def relative(a: Any, b: Any) -> float:
-    """Largest difference per component, relative to max(1, largest |b| of the component)."""
+    """Return the largest difference per component, relative to max(1, largest |b| of the component)."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     return float(np.max(np.abs(a - b) / np.maximum(1.0, np.max(np.abs(b), axis=0, initial=0.0)), initial=0.0))

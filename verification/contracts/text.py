@@ -1,5 +1,7 @@
-"""Contracts of the text of a package: what stands in it is there, fits a screen, compiles without a warning, and needs
-nothing but math.h."""
+"""Contracts of the text of a package: comments describe only what is there, and functions fit a screen.
+
+The text also compiles without a warning and needs nothing but math.h.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,8 @@ LONGEST = 60
 #: A function that starts a line, until the brace that ends it.
 FUNCTION = re.compile(r"^(?:static |API)[^;{}]*?\b(\w+)\)?\([^;{}]*\)\n\{\n.*?^\}", re.MULTILINE | re.DOTALL)
 
-#: The user's functions and their derivatives: what a call of f, of the cost or of a row evaluates at a point, and the
-#: products of their derivatives with a column.
+#: The user's functions and their derivatives: functions that evaluate f, the cost or a row at a point, and products of
+#: their derivatives with a column.
 OF_MODEL = re.compile(
     r"(?:path|terminal|start|stage|coupled|initial)_(?:cost|gradient|hessian|product|rows|curvature|slopes|equation"
     r"|exact_of_data)\w*"
@@ -33,7 +35,7 @@ PRODUCTS, LONGEST_PRODUCT = re.compile(r"condense_\w+_panel|adjoint_step"), 64
 
 
 def too_long(text: str) -> dict[str, int]:
-    """Name -> lines of the functions of a .c that are too long."""
+    """Return {name: lines} of the functions of a .c that are too long."""
     found = {m[1]: m[0].count("\n") + 1 for m in FUNCTION.finditer(text)}
     assert len(found) > 20, "the pattern finds no functions"
     return {
@@ -43,7 +45,7 @@ def too_long(text: str) -> dict[str, int]:
     }
 
 
-#: Word of a comment -> whether a package has what it means.
+#: Word of a comment -> test whether a package has the thing that it means.
 TOPICS: Mapping[str, Callable[[CModule], bool]] = {
     r"\bslack(?:s\b| variable| sigma)": lambda m: m.sizes.get("NSL", 0) > 0,
     r"\bcoupled\b": lambda m: m.sizes["NE"] > 0,
@@ -72,19 +74,19 @@ def words(text: str) -> set[str]:
 
 
 def macros(unit: str) -> Iterator[tuple[str, list[str], str]]:
-    """Name, arguments and text of every macro with arguments."""
+    """Yield name, arguments and text of every macro with arguments."""
     for found in re.finditer(r"^#define (\w+)\(([^)]*)\) ((?:.*\\\n)*.*)$", unit, re.MULTILINE):
         yield found[1], [a.strip() for a in found[2].split(",") if a.strip()], found[3]
 
 
 def functions(code: str) -> Iterator[tuple[str, str]]:
-    """Head and body of every function."""
+    """Yield head and body of every function."""
     for found in re.finditer(r"^(\w[^;{}]*?\))\n\{\n(.*?)^\}", code, re.MULTILINE | re.DOTALL):
         yield " ".join(found[1].split()), found[2]
 
 
 def idle_arguments(unit: str) -> list[str]:
-    """Arguments that macros drop, and parameters of inner functions that have a statement in place of a use."""
+    """Return arguments that macros drop, and parameters of inner functions that are only cast to void."""
     found = [f"{name}({a})" for name, arguments, text in macros(unit) for a in arguments if a not in words(text)]
     for head, body in functions(without_comments(unit)):
         if head.startswith("static"):
@@ -93,8 +95,11 @@ def idle_arguments(unit: str) -> list[str]:
 
 
 def idle_statements(unit: str) -> list[str]:
-    """Copies of a place to itself, a return that ends a function, loops of one pass, conditions and variables that are
-    numbers, functions that do nothing."""
+    """Return statements without effect.
+
+    They are copies of an object to itself, a return that ends a function, loops of one pass, conditions and variables
+    that are numbers, and functions that do nothing.
+    """
     code = without_comments(unit)
     found = [f"{a} = {b}" for a, b in re.findall(r"^ +([^ =]+) = ([^ ;]+);", code, re.MULTILINE) if a == b]
     found += [f"copy of {a}" for a, b in re.findall(r"mem(?:cpy|move)\((.+?), (.+?), ", code) if a == b]
@@ -114,7 +119,7 @@ def idle_statements(unit: str) -> list[str]:
 
 
 def idle_members(header: str, unit: str, structs: set[str]) -> list[str]:
-    """Members that the unit does not name."""
+    """Return the members of structs that the unit does not name."""
     named = words(without_comments(unit))
     found = []
     for body, name in re.findall(
@@ -126,7 +131,7 @@ def idle_members(header: str, unit: str, structs: set[str]) -> list[str]:
 
 
 def foreign_words(module: CModule, unit: str) -> list[str]:
-    """Comments that speak of what the package lacks."""
+    """Return the comments about things that the package lacks."""
     comments = re.findall(r"/\*.*?\*/", unit, re.DOTALL)
     lacking = [word for word, is_there in TOPICS.items() if not is_there(module)]
     return [c for c in comments for word in lacking if re.search(word, " ".join(c.split()))]
@@ -134,20 +139,20 @@ def foreign_words(module: CModule, unit: str) -> list[str]:
 
 @cache
 def functions_of_parts() -> frozenset[str]:
-    """Functions and thresholds of all parts."""
+    """Return the functions and thresholds of all parts."""
     code = "".join(without_comments(file.read_text(encoding="utf-8")) for file in template_directory().rglob("*.c"))
     return frozenset(re.findall(r"\b[a-z]+_\w+(?=\()|\b(?:TOL|FACTOR|HAS)_\w+", code))
 
 
 def foreign_names(unit: str) -> list[str]:
-    """Functions and thresholds that comments name and the unit lacks."""
+    """Return the functions and thresholds that comments name and the unit lacks."""
     there = words(without_comments(unit))
     comments = re.findall(r"/\*.*?\*/", unit, re.DOTALL)
     return sorted({name for comment in comments for name in (words(comment) & functions_of_parts()) - there})
 
 
 def what_stands_in_a_unit_is_there(subject: Subject) -> None:
-    """No argument, member, word or statement for what the package lacks."""
+    """Assert that no argument, member, word or statement belongs to something that the package lacks."""
     module = lowered(subject.sample)
     unit, header = subject.text[f"{module.name}.c"], subject.text[f"{module.name}.h"]
     assert idle_arguments(unit) == []
@@ -158,17 +163,17 @@ def what_stands_in_a_unit_is_there(subject: Subject) -> None:
 
 
 def functions_fit_a_screen(subject: Subject) -> None:
-    """No function is longer, unless it is one function of the user's model."""
+    """Assert that only functions of the user's model are longer than a screen."""
     assert too_long(subject.text[f"{lowered(subject.sample).name}.c"]) == {}
 
 
 def front_ends_find_nothing(subject: Subject) -> None:
-    """No warning as C99 and as C++17, where all warnings of the project are asked for."""
+    """Assert that C99 and C++17 compilers give no warning, with all warnings of the project."""
     assert quality.warnings_of(subject.text, ("-fsyntax-only",), ("C99", "C++17")) == ""
 
 
 def symbols_are_its_own(subject: Subject) -> None:
-    """The interface alone is external; functions of math.h and memcpy are called; no data can be written."""
+    """Assert that only the interface is external, only math.h and memcpy are called, and no data are writable."""
     assert quality.foreign_symbols(subject.text, "-O0") == []
     name = quality.package_name(subject.text)
     included = set(re.findall(r'#include [<"](.*)[>"]', subject.text[f"{name}.c"] + subject.text[f"{name}.h"]))

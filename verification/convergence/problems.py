@@ -1,4 +1,4 @@
-"""The problems that solve() has to solve from cold, each with the box from which measured states are drawn.
+"""solve() has to solve these problems from cold; each has a box from which measured states are drawn.
 
 The boxes were written down before the first run and are not adapted to its results; starts that IPOPT does not solve
 are listed by the benchmark.
@@ -22,7 +22,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class StartProblem:
-    """A problem, RK4 steps per interval (0 for a discrete map), and the box (nx,) x 2 of its measured states."""
+    """A start problem has RK4 steps per interval (0: discrete map), and the box (nx,) x 2 of its measured states."""
 
     name: str
     make: Callable[[], OCP] = field(repr=False)
@@ -31,11 +31,11 @@ class StartProblem:
     steps: int = 1
 
     def options(self) -> Options:
-        """What a user has to say: the number of steps."""
+        """Return the options that a user has to state: the number of steps."""
         return Options(ExplicitRungeKutta(RK4, steps=self.steps) if self.steps else None)
 
     def start(self, number: int) -> Array:
-        """Measured state (nx,) of this number."""
+        """Return the measured state (nx,) of this number."""
         random = np.random.default_rng([12, number])
         return random.uniform(self.lower, self.upper)
 
@@ -46,7 +46,7 @@ def _around(center: object, reach: object) -> tuple[Array, Array]:
 
 
 def bicycle() -> OCP:
-    """Kinematic bicycle to a place behind an obstacle of radius 1 m on the straight line."""
+    """State a kinematic bicycle whose goal is behind an obstacle of radius 1 m on the straight line."""
     ocp = OCP("bicycle", T=4.0, N=40)
     x, y, psi = ocp.state("x", unit="m"), ocp.state("y", unit="m"), ocp.state("psi", unit="rad")
     v = ocp.state("v", unit="m/s", initial=1.0)
@@ -62,7 +62,7 @@ def bicycle() -> OCP:
 
 
 def discs() -> OCP:
-    """A mass in the plane, its place, velocity and force in discs, asked to a place outside of them."""
+    """State a mass in the plane with position, velocity and force in discs, and a target outside them."""
     ocp = OCP("discs", T=3.0, N=20)
     p, v, F = ocp.state("p", size=2), ocp.state("v", size=2), ocp.control("F", size=2)
     ocp.dynamics({p: v, v: F})
@@ -75,12 +75,12 @@ def discs() -> OCP:
 
 
 def _hoist(x: Any, a: Any) -> Any:
-    """Trolley with acceleration a and a load on a rope of 1 m: (p, v, phi, omega)."""
+    """Return the derivatives of (p, v, phi, omega): a trolley with acceleration a and a load on a rope of 1 m."""
     return ca.vertcat(x[1], a, x[3], -9.81 * ca.sin(x[2]) - a * ca.cos(x[2]) - 0.2 * x[3])
 
 
 def fastest_crane() -> OCP:
-    """To rest at the origin in the shortest time, which is a free state."""
+    """State the crane that comes to rest at the origin in the shortest time, which is a free state."""
     ocp = OCP("fastest_crane", T=1.0, N=40)
     x, Tf = ocp.state("x", size=4, initial=[2.0, 0, 0, 0]), ocp.state("Tf", unit="s", initial=4.0)
     a = ocp.control("a", unit="m/s^2")
@@ -96,7 +96,7 @@ def fastest_crane() -> OCP:
 
 
 def swing_up() -> OCP:
-    """Pendulum with little torque, from hanging to upright, th = 0, within 4 s."""
+    """State a pendulum with little torque that swings up from hanging to upright, th = 0, within 4 s."""
     ocp = OCP("swing_up", T=4.0, N=40)
     th, w, u = ocp.state("th", unit="rad", initial=np.pi), ocp.state("w", unit="rad/s"), ocp.control("u")
     ocp.dynamics({th: w, w: 9.81 * ca.sin(th) + u})
@@ -107,7 +107,7 @@ def swing_up() -> OCP:
 
 
 def fastest_swing_up() -> OCP:
-    """The same in the shortest time."""
+    """State the swing-up in the shortest time."""
     ocp = OCP("fastest_swing_up", T=1.0, N=40)
     th, w = ocp.state("th", unit="rad", initial=np.pi), ocp.state("w", unit="rad/s")
     Tf, u = ocp.state("Tf", unit="s", initial=3.0), ocp.control("u")
@@ -122,7 +122,10 @@ def fastest_swing_up() -> OCP:
 
 
 def battery() -> OCP:
-    """Fast charge within limits of temperature and voltage, soft; the fast overpotential by a linearly implicit map."""
+    """State fast charging within soft limits of temperature and voltage.
+
+    A linearly implicit map integrates the fast overpotential.
+    """
     ocp = OCP("battery", N=30)
     soc, v1 = ocp.state("soc", initial=0.2), ocp.state("v1", unit="V")
     Tc, current = ocp.state("Tc", unit="degC", initial=30.0), ocp.control("I", unit="A")
@@ -148,7 +151,7 @@ def battery() -> OCP:
 
 
 def reaction() -> OCP:
-    """Economic control of a reactor A -> B by its flow (Diehl, Amrit and Rawlings 2011): the product and the flow.
+    """State the economic control of a reactor A -> B by its flow (Diehl, Amrit and Rawlings 2011).
 
     Only c_A is fixed at the end: c_A + c_B tends to 1 whatever the flow is.
     """
@@ -163,7 +166,7 @@ def reaction() -> OCP:
 
 
 def oscillator() -> OCP:
-    """Van der Pol with a bound on a state that is active for a while."""
+    """State a van der Pol oscillator with a bound on a state that is active for a while."""
     ocp = OCP("oscillator", T=10.0, N=20)
     x, y, u = ocp.state("x", initial=0.0), ocp.state("y", initial=1.0), ocp.control("u")
     ocp.dynamics({x: (1 - y**2) * x - y + u, y: x})
@@ -174,7 +177,7 @@ def oscillator() -> OCP:
 
 
 def free_period() -> OCP:
-    """The most productive orbit of the fermentation, whose period is free."""
+    """State the most productive orbit of the fermentation, whose period is free."""
     D, KI, KM, PM, Y = 0.15, 22.0, 1.2, 50.0, 0.4
     ocp = OCP("free_period", T=1.0, N=24)
     X, S = ocp.state("X", initial=5.8), ocp.state("S", initial=18.0)
@@ -196,7 +199,7 @@ def free_period() -> OCP:
 
 
 def problems() -> tuple[StartProblem, ...]:
-    """All of them."""
+    """Return all problems."""
     tip = np.asarray(classify(chain.build_ocp(3)).x_initial, dtype=float)
     steady = cstr.SET_POINTS[0][:4]
     orbit = np.array([5.8, 18.0, 20.5])

@@ -1,4 +1,4 @@
-"""Random cold starts: ours from the same first guess as IPOPT, whose results are kept in ipopt.json.
+"""solve() starts cold from the same random first guesses as IPOPT, whose results are kept in ipopt.json.
 
 A start is solved if the KKT residuals, recomputed from the problem, vanish. Where both solve, costs are compared.
 
@@ -35,7 +35,7 @@ WORSE = 1e-4  # of the cost, relative
 
 @dataclass(frozen=True)
 class Attempt:
-    """One start: whether it was solved, iterations, cost, status, and whether a failure was explained."""
+    """An attempt is one start: whether it was solved, iterations, cost, status, and whether a failure was explained."""
 
     solved: bool
     iterations: int
@@ -45,13 +45,13 @@ class Attempt:
 
 
 def recorded(file: Path) -> dict[str, list[Attempt]]:
-    """The attempts in a file, by problem."""
+    """Read the attempts in a file, by problem."""
     found = json.loads(file.read_text(encoding="utf-8"))
     return {name: [Attempt(*row) for row in rows] for name, rows in found.items()}
 
 
 def is_solved(ocp: Problem, tableau: Tableau, solution: Solution, x0: NDArray[np.float64]) -> bool:
-    """True if the status is OK and the KKT residuals, recomputed from the problem, vanish."""
+    """Return True if the status is OK and the KKT residuals, recomputed from the problem, vanish."""
     point = Point(**{name: getattr(solution, name) for name in Point.__dataclass_fields__})
     multipliers = (solution.lam, solution.mu, solution.mu_N, solution.eta)
     size = max(1.0, *(float(np.max(np.abs(m), initial=0.0)) for m in multipliers))
@@ -61,12 +61,12 @@ def is_solved(ocp: Problem, tableau: Tableau, solution: Solution, x0: NDArray[np
 
 @cache
 def by_ipopt() -> dict[str, list[Attempt]]:
-    """IPOPT's attempts, by problem and number of the start."""
+    """Return IPOPT's attempts, by problem and number of the start."""
     return recorded(RESULTS)
 
 
 def known(name: str) -> StartProblem:
-    """The problem of that name."""
+    """Return the problem of that name."""
     return next(problem for problem in problems() if problem.name == name)
 
 
@@ -75,7 +75,7 @@ def _tableau(problem: StartProblem) -> Tableau:
 
 
 def attempts_of_ipopt(name: str, numbers: Sequence[int]) -> list[Attempt]:
-    """IPOPT from the first guess of a controller that knows nothing."""
+    """Run IPOPT from the first guess of a new controller."""
     problem = known(name)
     ocp, ctrl = classify(problem.make()), build(problem.make(), problem.options(), profile="test")
     oracle, found = Reference(ocp, _tableau(problem), tol=1e-8), []
@@ -88,7 +88,7 @@ def attempts_of_ipopt(name: str, numbers: Sequence[int]) -> list[Attempt]:
 
 
 def attempts(name: str, controller: Controller, numbers: Sequence[int]) -> list[Attempt]:
-    """solve() of this controller from starts of the problem."""
+    """Run solve() of this controller from starts of the problem."""
     problem = known(name)
     ocp, tableau, found = classify(problem.make()), _tableau(problem), []
     for number in numbers:
@@ -102,14 +102,14 @@ def attempts(name: str, controller: Controller, numbers: Sequence[int]) -> list[
 
 
 def is_explained(text: str, names: Names) -> bool:
-    """True if the diagnosis names a row, a state with its node, or an option to change."""
+    """Return True if the diagnosis names a row, a state with its node, or an option to change."""
     rows = any(f"row {row!r}" in text for row in names.rows)
     states = any(f"{state} at node" in text or f"measured {state}" in text for state in names.states)
     return rows or states or "Options(" in text or "steps" in text
 
 
 def main() -> None:
-    """All problems, one line per start."""
+    """Run all problems, and write one line per start."""
     lines = []
     for problem in problems():
         rows = attempts_of_ipopt(problem.name, range(STARTS))

@@ -1,4 +1,4 @@
-"""The same problem in other units: every state, control, row and the cost are divided by a random power of ten."""
+"""A problem is stated in other units: every state, control, row and the cost are divided by a random power of ten."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ COST_DECADES = 6  # costs are multiplied by 1e-6 to 1e6
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """x = x_unit y_x, u = u_unit y_u; rows are divided by numbers of the generator, the cost is multiplied by
-    ``cost``."""
+    """x = x_unit y_x, u = u_unit y_u.
+
+    Rows are divided by numbers of the generator, the cost is multiplied by ``cost``.
+    """
 
     x: Array
     u: Array
@@ -29,7 +31,7 @@ class Units:
 
     @classmethod
     def of(cls, ocp: OCP, seed: int) -> Units:
-        """Random ones."""
+        """Draw random units for a problem."""
         random = np.random.default_rng([13, seed])
         sizes = ocp.x.numel(), ocp.u.numel()
         x, u = (10.0 ** random.uniform(-DECADES, DECADES, size) for size in sizes)
@@ -37,7 +39,7 @@ class Units:
 
 
 def in_units(ocp: OCP, units: Units) -> OCP:
-    """The problem for the signals divided by their units, without parameters."""
+    """Return the problem for the signals divided by their units, without parameters."""
     new = OCP(ocp.name, N=ocp.N) if ocp.dt is None else OCP(ocp.name, intervals=ocp.dt)
     for signals, declare, unit in ((ocp.states, new.state, units.x), (ocp.controls, new.control, units.u)):
         for d in signals:
@@ -65,7 +67,7 @@ def in_units(ocp: OCP, units: Units) -> OCP:
 
 
 def _in_own_units(ocp: OCP, new: OCP, old: Any, text: Any, units: Units) -> tuple[Any, Array]:
-    """A residual whose elements that are signals remain signals, and the units of its elements."""
+    """Return a residual whose elements that are signals remain signals, and the units of its elements."""
     y, d = [], np.ones(text.numel())
     for i in range(text.numel()):
         element, symbol = ocp.element(old[i]), text[i]
@@ -97,7 +99,7 @@ def _add_costs(ocp: OCP, new: OCP, new_text: Callable[[Any], Any], units: Units)
 
 
 def _add_rows(new: OCP, statement: Statement, h: Any, units: Units) -> None:
-    """A bound is divided by the unit of its signal, so that it remains one; a row by a unit of its own."""
+    """Add rows in their units: a bound is divided by the unit of its signal, any other row by a unit of its own."""
     symbols, scale = ca.vertcat(new.x, new.u), np.concatenate([units.x, units.u])
     for i, name in enumerate(statement.names):
         slope = np.array(ca.DM(ca.jacobian(h[i], symbols)).full()).ravel() if _is_linear(h[i], symbols) else None

@@ -1,4 +1,4 @@
-"""The evaporation process: its tuning, the statements of [Z20] about Hessians, multipliers and iterates, Figure 1."""
+"""The evaporation process reproduces [Z20]: tuning, statements about Hessians, multipliers and iterates, Figure 1."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ ITERATIONS = {"exact": 8, "tuned": 8, "corrected": 8, "identity": 40}
 
 @cache
 def tuning() -> Tuning:
-    """M with eta = 1."""
+    """Return M with eta = 1."""
     return evaporation.tuned(N)
 
 
 @cache
 def shooting(intervals: int = N) -> Shooting:
-    """X2 = 25 at the nodes 1..N-1, x_N = x_s."""
+    """Return the problem with X2 = 25 at the nodes 1..N-1 and x_N = x_s."""
     t = tuning()
     stage = steady_stage(classify(evaporation.build_ocp(intervals)), evaporation.options())
     rows = tuple(stage.rows.names.index(name) for name in t.active)
@@ -41,7 +41,7 @@ def shooting(intervals: int = N) -> Shooting:
 
 
 def reduced_hessian_error() -> float:
-    """Largest difference of Z'MZ and Z'HZ relative to Z'HZ, on the null space of x_0, dynamics and active rows."""
+    """Return |Z'MZ - Z'HZ| / |Z'HZ| in the largest norm, on the null space Z of x_0, dynamics and active rows."""
     t, problem = tuning(), shooting()
     exact = quadratic_program(problem, problem.functions(), steady_plan(t, N), None)
     rows = constraint_matrix(exact).toarray()
@@ -53,7 +53,7 @@ def reduced_hessian_error() -> float:
 
 
 def negative_eigenvalues(with_rows: bool) -> int:
-    """Of the reduced exact Hessian at the steady state, with or without the active rows in the null space."""
+    """Count negative eigenvalues of the reduced exact Hessian at the steady state, with or without the active rows."""
     t, problem = tuning(), shooting()
     exact = quadratic_program(problem, problem.functions(), steady_plan(t, N), None)
     rows = constraint_matrix(exact).toarray()
@@ -67,7 +67,7 @@ def negative_eigenvalues(with_rows: bool) -> int:
 
 
 def first_steps() -> tuple[object, object]:
-    """The first steps from the steady state with the exact Hessian and with M."""
+    """Return the first steps from the steady state with the exact Hessian and with M."""
     t, problem = tuning(), shooting()
     node, plan = problem.functions(), steady_plan(t, N)
     return tuple(  # type: ignore[return-value]
@@ -76,14 +76,14 @@ def first_steps() -> tuple[object, object]:
 
 
 def first_step_error() -> float:
-    """Largest difference of the primal steps relative to the step."""
+    """Return the largest difference of the primal steps relative to the step."""
     exact, tuned = first_steps()
     difference = max(np.abs(exact.dx - tuned.dx).max(), np.abs(exact.du - tuned.du).max())  # type: ignore[attr-defined]
     return float(difference / max(np.abs(exact.dx).max(), np.abs(exact.du).max()))  # type: ignore[attr-defined]
 
 
 def first_step_dual_error(corrected: bool) -> float:
-    """Largest difference of the multipliers lam_1, ..., lam_N after the first step, absolute; they are of size 300.
+    """Return the largest difference of the multipliers lam_1, ..., lam_N after the first step; they are of size 300.
 
     At node 0 the difference contains the multiple of X2 = 25, a row that node 0 does not have.
     """
@@ -95,17 +95,17 @@ def first_step_dual_error(corrected: bool) -> float:
 
 @cache
 def figure1() -> dict[str, tuple[Plan, list[float], list[float]]]:
-    """Plans, sizes of the steps and residuals of every Hessian."""
+    """Return plans, sizes of the steps and residuals of every Hessian."""
     return {name: iterate(shooting(), tuning(), START, name, n) for name, n in ITERATIONS.items()}
 
 
 def steps_to(sizes: list[float], tolerance: float) -> float:
-    """Number of steps until one is shorter than the tolerance; one more than there are if none is."""
+    """Return the number of steps until one is shorter than the tolerance, or one more than there are."""
     return float(next((i + 1 for i, size in enumerate(sizes) if size < tolerance), len(sizes) + 1))
 
 
 def inadmissible(plan: Plan) -> float:
-    """0 if the working set is right: all path rows hold at the nodes 1..N-1, and mu has the sign of its bound."""
+    """Return 0 if the working set is right: path rows hold at the nodes 1..N-1, and mu has the sign of its bound."""
     stage = shooting().stage
     h = np.array([np.asarray(stage.values(w)[2], dtype=float).ravel() for w in plan.w])
     inside = np.all(h[1:] <= stage.rows.upper + 1e-8) and np.all(h[1:] >= stage.rows.lower - 1e-8)
@@ -113,7 +113,7 @@ def inadmissible(plan: Plan) -> float:
 
 
 def span_error() -> float:
-    """Distance of M - H from the span of Hcal(E) and C'C, E symmetric, relative to M - H."""
+    """Return the distance of M - H from the span of Hcal(E) and C'C, E symmetric, relative to M - H."""
     t, basis, n = tuning(), [], len(tuning().A)
     AB = np.hstack([t.A, t.B])
     for i in range(n):
@@ -131,7 +131,7 @@ def span_error() -> float:
 
 
 def rotation_errors(rotated: bool, steps: int = 12) -> list[float]:
-    """Distances |w - w*| of l_rot = 10 |x - x_s|^2 + 0.1 |u - u_s|^2, or of l_rot - Lambda(x) + Lambda(Phi)."""
+    """Return |w - w*| for l_rot = 10 |x - x_s|^2 + 0.1 |u - u_s|^2, or for l_rot - Lambda(x) + Lambda(Phi)."""
     t, problem = tuning(), replace(shooting(N), rows=(), bounds=np.zeros(0))
 
     def storage(x: Any) -> Any:
@@ -151,7 +151,7 @@ def rotation_errors(rotated: bool, steps: int = 12) -> list[float]:
 
 
 def ipopt_iterations(horizon: int, M: Array | None) -> int:
-    """From the steady state, x_0 = (35, 49.743), default options."""
+    """Count IPOPT's iterations from the steady state, x_0 = (35, 49.743), with default options."""
     t, stage = tuning(), shooting().stage
     W, end = ca.SX.sym("W", 4, horizon), ca.SX.sym("end", 2)
     x: list[Any] = [START, *ca.horzsplit(W[:2, 1:]), end]

@@ -1,4 +1,4 @@
-"""Linear-quadratic problems whose indefinite Hessian comes from a convex one by a rotation."""
+"""Linear-quadratic problems get an indefinite Hessian from a convex one by a rotation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nmpc_codegen.economic.linear_quadratic import LinearQuadratic
 
 
 def random_problem(seed: int, n: int = 3, m: int = 2, rows: int = 0) -> tuple[LinearQuadratic, np.ndarray]:
-    """A convex problem rotated by a storage function x' S x, and S: H = W + Hcal(S) is indefinite."""
+    """Return a convex problem rotated by a storage function x' S x, and S; H = W + Hcal(S) is indefinite."""
     rng = np.random.default_rng(seed)
     A, B = rng.normal(size=(n, n)), rng.normal(size=(n, m))
     root = rng.normal(size=(n + m, n + m))

@@ -1,6 +1,6 @@
-"""SQP of an economic problem in NumPy: full steps, a fixed working set, and a Hessian by name.
+"""NumPy runs the SQP of an economic problem with full steps, a fixed working set, and a Hessian by name.
 
-The functions of a node come from CasADi, the step from kkt_step(); the generated code has no part in it. Hessians:
+The functions of a node come from CasADi, the step from kkt_step(); the generated code is not used. Hessians:
 "exact" (of the Lagrangian at the iterate, indefinite), "tuned" (M), "corrected" (M, with the dual correction),
 "identity".
 """
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """x (N+1, n), u (N, m), lam (N+1, n), mu of the working set at the nodes 1..N-1 (N, rows)."""
+    """A plan has x (N+1, n), u (N, m), lam (N+1, n), and mu of the working set at the nodes 1..N-1 (N, rows)."""
 
     x: Array
     u: Array
@@ -36,7 +36,10 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Shooting:
-    """The problem from x_0 with x_N = x_s; ``rows``: positions of path rows that are equations at the nodes 1..N-1."""
+    """The problem starts at x_0 and ends at x_N = x_s.
+
+    ``rows``: indices of the path rows that are equations at the nodes 1..N-1.
+    """
 
     stage: SteadyStage
     N: int
@@ -47,7 +50,7 @@ class Shooting:
     def functions(
         self, extra: Callable[[ca.SX, ca.SX], ca.SX] | None = None, cost: Callable[[ca.SX], ca.SX] | None = None
     ) -> ca.Function:
-        """(w, lam_next, mu) -> (Phi, [A B], gradient, C, h, Hessian of the Lagrangian).
+        """Return (w, lam_next, mu) -> (Phi, [A B], gradient, C, h, Hessian of the Lagrangian).
 
         ``extra``: a further stage cost of (x, Phi), with which a problem is rotated; ``cost``: of w, instead of l.
         """
@@ -62,7 +65,7 @@ class Shooting:
 
 
 def steady_plan(tuning: Tuning, N: int) -> Plan:
-    """The steady state with its multipliers at every node."""
+    """Return the steady state with its multipliers at every node."""
     return Plan(
         x=np.tile(tuning.x_s, (N + 1, 1)),
         u=np.tile(tuning.u_s, (N, 1)),
@@ -74,7 +77,7 @@ def steady_plan(tuning: Tuning, N: int) -> Plan:
 def quadratic_program(
     problem: Shooting, node: ca.Function, plan: Plan, hessian: Array | None, end: tuple[Array, Array] | None = None
 ) -> StageQp:
-    """The subproblem at a plan; ``hessian`` None: exact. ``end``: gradient and Hessian of a cost of x_N."""
+    """Return the subproblem at a plan; ``hessian`` None: exact. ``end``: gradient and Hessian of a cost of x_N."""
     n, N = problem.stage.nx, problem.N
     columns = [np.asarray(v) for v in node.map(N)(plan.w.T, plan.lam[1:].T, plan.mu.T)]
     Phi, AB, g, C, h, H = (np.array(np.split(v, N, axis=1)) for v in columns)
@@ -97,7 +100,7 @@ def quadratic_program(
 
 
 def stepped(plan: Plan, step: Step) -> Plan:
-    """The plan after a full step."""
+    """Return the plan after a full step."""
     mu = np.array([m if len(m) else np.zeros(plan.mu.shape[1]) for m in step.mu])
     return Plan(plan.x + step.dx, plan.u + step.du, step.lam, mu)
 
@@ -105,9 +108,9 @@ def stepped(plan: Plan, step: Step) -> Plan:
 def iterate(
     problem: Shooting, tuning: Tuning, x0: Array, name: str, iterations: int, start: Plan | None = None
 ) -> tuple[Plan, list[float], list[float]]:
-    """Full steps from the steady state: the last plan, the size of every step, and the residual before every step.
+    """Take full steps from the steady state; return the last plan, step sizes, and the residuals before the steps.
 
-    The size is the largest component; the residual, a Euclidean norm, is that of the optimality conditions, with gaps.
+    A step size is the largest component; a residual is the Euclidean norm of the optimality conditions, with gaps.
     """
     node = problem.functions()
     size = problem.stage.nx + tuning.B.shape[1]
@@ -126,7 +129,7 @@ def iterate(
 
 
 def residual(qp: StageQp, plan: Plan, x0: Array) -> float:
-    """Norm of the optimality conditions at the plan: stationarity in x_0..x_{N-1}, u; gaps; rows; x_0."""
+    """Return the norm of the optimality conditions at the plan: stationarity in x_0..x_{N-1}, u; gaps; rows; x_0."""
     AB = np.concatenate([qp.A, qp.B], axis=2)
     slope = qp.g + np.einsum("kij,ki->kj", AB, plan.lam[1:])
     slope[:, : plan.x.shape[1]] -= plan.lam[:-1]

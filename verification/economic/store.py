@@ -1,4 +1,4 @@
-"""A heat store whose tariff and demand repeat every day: the best operation is an orbit, no steady state."""
+"""The tariff and the demand of a heat store repeat every day, so that its best operation is an orbit."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ HOURS = np.arange(24)
 DATA = np.column_stack(
     [0.2 + 0.1 * np.sin(2 * np.pi * (HOURS - 9) / 24), 3 + 1.5 * np.cos(2 * np.pi * (HOURS - 18) / 24)]
 )
-#: Hour at which plans are compared: no row is active there and in the hours before and after it.
+#: Hour at which plans are compared, where and around which no row is active; nodes of the horizon.
 START, N = 7, 48
 
 
 def store(economic: bool = True) -> OCP:
-    """Two days; the heat pump loses efficiency with the temperature and with its load."""
+    """State two days of a heat pump that loses efficiency with the temperature and with its load."""
     ocp = OCP("store", T=float(N), N=N, time_unit="h")
     T, q = ocp.state("T", unit="degC", initial=45.0), ocp.control("q", unit="kW")
     price, demand = ocp.parameter("price", value=0.2), ocp.parameter("demand", value=3.0)
@@ -33,12 +33,12 @@ def store(economic: bool = True) -> OCP:
 
 @cache
 def tuned() -> PeriodicTuning:
-    """The orbit of a day."""
+    """Return the orbit of a day."""
     return tune_periodic(store(), parameters=DATA)
 
 
 def first_controls(offsets: list[float]) -> np.ndarray:
-    """(offsets, 2): the first control of converged plans, economic and LETEMPC, that far from the orbit at START."""
+    """Return first controls (offsets, 2) of converged plans, economic and LETEMPC, offset from the orbit at START."""
     tracking = store(economic=False)
     at, nodes = periodic_letempc(tuned(), tracking), (START + np.arange(N + 1)) % 24
     controllers = [build(store()), build(tracking)]
@@ -54,7 +54,7 @@ def _first(controller: Controller, offset: float, data: np.ndarray) -> float:
 
 
 def first_steps(offset: float = 1.0) -> tuple[Step, Step]:
-    """The first SQP step of a day from the orbit at START with the exact Hessians, and with M."""
+    """Return the first SQP steps of a day from the orbit at START, with the exact Hessians and with M."""
     t = tuned()
     order = (START + np.arange(24)) % 24
     n = t.x.shape[1]

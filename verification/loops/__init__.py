@@ -1,1 +1,1 @@
-"""Draws of closed loops whose plans one full step per sample does not bring nearer, against solve() in every sample."""
+"""Draws contain closed loops that one full step per sample does not bring nearer to a solution."""

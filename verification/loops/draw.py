@@ -1,4 +1,4 @@
-"""A drawn problem, and the loops that are flown with it."""
+"""A draw contains a problem and the loops that are simulated with it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ NOISE, GAIN = 2e-3, 0.15
 
 @dataclass(frozen=True)
 class Plant:
-    """x' = f(x, u), its names, and what a loop does with it.
+    """A plant is x' = f(x, u), its names, and the data of its loops.
 
     ``start`` and ``points``: lower and upper ends from which starts, and set points of the tracked states, are drawn;
     ``tracked``: their indices; ``controls``: bounds; ``limits``: state -> bounds that count; ``sizes``: of the states;
-    ``cost``: an economic cost (x, u) in the place of tracking.
+    ``cost``: an economic cost (x, u) instead of tracking.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Plant:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """A plant with weights, and the seed of its loops."""
+    """A drawn problem is a plant with weights, and the seed of its loops."""
 
     plant: Plant
     weight: float
@@ -60,7 +60,7 @@ class Drawn:
         return self.plant.horizon / self.plant.intervals
 
     def ocp(self) -> OCP:
-        """As a user states it; controls are compared with where the first plan has them."""
+        """State the problem as a user does; controls have their first values as references."""
         p = self.plant
         ocp = OCP(p.name, T=p.horizon, N=p.intervals)
         x = [ocp.state(name, initial=float(np.mean(range_))) for name, range_ in zip(p.states, p.start, strict=True)]
@@ -83,7 +83,7 @@ class Drawn:
         return ocp
 
     def stage(self) -> ca.Function:
-        """Cost of a sample (x, u, point), as it is flown."""
+        """Return the simulated cost of a sample (x, u, point)."""
         p = self.plant
         x, u, point = ca.SX.sym("x", len(p.states)), ca.SX.sym("u", len(p.controls)), ca.SX.sym("r", len(p.tracked))
         if p.cost is not None:
@@ -94,7 +94,7 @@ class Drawn:
         return ca.Function("stage", [x, u, point], [value])
 
     def step(self) -> ca.Function:
-        """The plant over a sample (x, u) by fine steps."""
+        """Return the plant over a sample, (x, u) -> x_next, by fine steps."""
         p = self.plant
         x, u = ca.SX.sym("x", len(p.states)), ca.SX.sym("u", len(p.controls))
         f, h = ca.Function("f", [x, u], [ca.vertcat(*p.model(x, u))]), self.dt / FINE

@@ -1,4 +1,4 @@
-"""Loops of a drawn problem, flown by a controller and by solve() in every sample, and what is wrong with the first."""
+"""A controller and solve() fly the same loops, and faults of the controller are found by comparison."""
 
 from __future__ import annotations
 
@@ -12,22 +12,25 @@ from nmpc_codegen import Controller, Options, ProblemWarning, Status, build
 from verification.loops.draw import GAIN, HELD, NOISE, POINTS, Array, Drawn
 from verification.loops.plants import DRAWS
 
-#: Flown cost beyond that of solve(), relative to it.
+#: Excess of the simulated cost over that of solve(), relative to it.
 DEARER = 0.05
 #: Violation of a limit, relative to its width, that counts; distance from the set point, in sizes, that is an arrival.
 LEFT, ARRIVED = 0.01, 0.1
-#: Distance from the last set point, in sizes, and samples that are not OK, with which a loop of solve() counts as lost.
+#: Limits above which a loop of solve() is lost: distance from the last set point, in sizes, and samples not OK.
 MISSED, FEW = 0.5, 3
-#: Samples on end that may be OK although their relative KKT residual is above FAR, and that may fail.
+#: Consecutive samples that may be OK although their relative KKT residual is above FAR, and that may fail.
 MOST_FAR, MOST_FAILED, FAR = 5, 20, 0.1
-#: Iterations of solve() in a sample, at most.
+#: Most iterations of solve() in a sample.
 SOLVE_ITERATIONS = 200
 
 
 @dataclass(frozen=True)
 class Flight:
-    """What a loop came to: cost, largest violation of a limit, distance from the last set point, statuses, QPs per
-    sample, and the most samples on end that were OK far from a solution, or no OK."""
+    """A flight is the result of a simulated loop.
+
+    It has the cost, the largest violation of a limit, the distance from the last set point, statuses, QPs per sample,
+    and the most consecutive samples that were OK far from a solution, or not OK.
+    """
 
     cost: float
     violation: float
@@ -43,14 +46,16 @@ class Flight:
 
     @property
     def bad(self) -> int:
-        """Samples that were not OK."""
+        """Return the number of samples that were not OK."""
         return self.samples - self.statuses["OK"]
 
 
 @dataclass(frozen=True)
 class Loop:
-    """A loop and that of solve(), and what is wrong with it; ``counts``: solve() itself keeps its limits, arrives and
-    hardly ever fails."""
+    """A loop is compared with the same loop by solve().
+
+    ``counts``: solve() itself keeps its limits, arrives and hardly ever fails.
+    """
 
     mine: Flight
     theirs: Flight
@@ -60,14 +65,14 @@ class Loop:
 
 @dataclass(frozen=True)
 class Judged:
-    """The loops of a drawn problem."""
+    """A judged problem has its loops."""
 
     name: str
     loops: list[Loop]
 
 
 class Course:
-    """Start, set points, noise and gain of a loop."""
+    """A course has the start, set points, noise and gain of a loop."""
 
     def __init__(self, drawn: Drawn, number: int) -> None:
         random = np.random.default_rng([drawn.seed, number])
@@ -79,7 +84,7 @@ class Course:
 
 
 def fly(drawn: Drawn, controller: Controller, course: Course, solve: bool) -> Flight:
-    """One loop with a fresh plan."""
+    """Simulate one loop with a fresh plan."""
     p, plant, stage = drawn.plant, drawn.step(), drawn.stage()
     controller.reset()
     for j, (lower, upper) in enumerate(p.controls.values()):
@@ -114,14 +119,14 @@ def fly(drawn: Drawn, controller: Controller, course: Course, solve: bool) -> Fl
 
 
 def _with_gain(drawn: Drawn, u: Array, gain: float) -> Array:
-    """The control as the plant takes it: another gain about the first one."""
+    """Return the control as the plant receives it, with another gain about the first one."""
     bounds = np.array(list(drawn.plant.controls.values()))
     at = bounds[:, 0] + drawn.first * (bounds[:, 1] - bounds[:, 0])
     return np.asarray(np.clip(at + gain * (np.asarray(u) - at), bounds[:, 0], bounds[:, 1]))
 
 
 def judge(draw: str, number: int, loops: int, options: Options | None = None) -> Judged:
-    """Fly loops of a drawn problem with these options, and with solve() of the default ones in every sample."""
+    """Simulate loops of a drawn problem with these options, and with solve() of the default ones in every sample."""
     drawn = DRAWS[draw]()[number]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ProblemWarning)
@@ -135,7 +140,7 @@ def judge(draw: str, number: int, loops: int, options: Options | None = None) ->
 
 
 def faults(mine: Flight, theirs: Flight) -> list[str]:
-    """What is wrong with a loop, where that of solve() is not."""
+    """Return the faults of a loop that the loop of solve() does not have."""
     found = []
     if mine.cost > theirs.cost + DEARER * abs(theirs.cost):
         found.append(f"cost {mine.cost:.4g} instead of {theirs.cost:.4g}")

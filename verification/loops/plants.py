@@ -1,4 +1,4 @@
-"""Plants of the draws: actuators of lost slope on five plants; unstable plants and products of controls."""
+"""The draws have these plants: five with actuators whose slope vanishes, unstable plants and products of controls."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from verification.loops.draw import Drawn, Plant
 
 Law = Callable[[ca.SX], ca.SX]
-#: Name -> force of a control in [0, 1] or [-1, 1], from 0 or -1 to 1, whose slope vanishes somewhere; lower bound.
+#: Name -> (force, lower bound): the force of a control in [0, 1] or [-1, 1] reaches 1, and its slope vanishes
+#: somewhere.
 LAWS: dict[str, tuple[Law, float]] = {
     "square": (lambda u: u**2, 0.0),
     "signed_square": (lambda u: u * ca.fabs(u), -1.0),
@@ -20,14 +21,14 @@ LAWS: dict[str, tuple[Law, float]] = {
     "one_sided": (lambda u: ca.log(1 + ca.exp(20 * (u - 0.3))) / 14, 0.0),
     "smooth_step": (lambda u: u**2 * (3 - 2 * u), 0.0),
 }
-#: Part of its range at which the first plan has a control.
+#: Fraction of its range at which a control is in the first plan.
 FIRST = 0.1
 PROBLEMS, LOOPS = 30, 5
 
 
 @dataclass(frozen=True)
 class _Actuator:
-    """Force of a control, its bounds, the size of the states, a time, and the least set point in sizes."""
+    """An actuator has a force law, bounds, a size of the state, a time constant, and the least set point in sizes."""
 
     law: str
     force: Law
@@ -38,14 +39,14 @@ class _Actuator:
 
 
 def _actuator(law: str, random: np.random.Generator) -> _Actuator:
-    """With drawn units and time constants."""
+    """Draw an actuator with random units and time constants."""
     force, lower = LAWS[law]
     size, tau, top = (10.0 ** random.uniform(*powers) for powers in ((-2, 3), (-1, 2), (-1, 4)))
     return _Actuator(law, lambda u: force(u / top), (lower * top, top), size, tau, -0.4 if lower < 0 else 0.15)
 
 
 def _speed(a: _Actuator) -> Plant:
-    """A mass with friction."""
+    """Return a mass with friction."""
     size, tau = a.size, a.tau
     return Plant(
         f"speed_{a.law}",
@@ -61,7 +62,7 @@ def _speed(a: _Actuator) -> Plant:
 
 
 def _heater(a: _Actuator) -> Plant:
-    """A heater behind a wall."""
+    """Return a heater behind a wall."""
     size, tau = a.size, a.tau
     return Plant(
         f"heater_{a.law}",
@@ -81,7 +82,7 @@ def _heater(a: _Actuator) -> Plant:
 
 
 def _tanks(a: _Actuator) -> Plant:
-    """Two tanks in a row."""
+    """Return two tanks in a row."""
     size, tau = a.size, a.tau
     return Plant(
         f"tanks_{a.law}",
@@ -100,7 +101,7 @@ def _tanks(a: _Actuator) -> Plant:
 
 
 def _boat(a: _Actuator) -> Plant:
-    """Two of them turn and drive a boat."""
+    """Return a boat that two actuators turn and drive."""
     size, tau = a.size, a.tau
     return Plant(
         f"boat_{a.law}",
@@ -120,7 +121,7 @@ def _boat(a: _Actuator) -> Plant:
 
 
 def _lifted(a: _Actuator) -> Plant:
-    """A pendulum that a fan lifts."""
+    """Return a pendulum that a fan lifts."""
     tau = a.tau
     return Plant(
         f"lifted_{a.law}",
@@ -137,7 +138,7 @@ def _lifted(a: _Actuator) -> Plant:
 
 
 def lost_slope() -> list[Drawn]:
-    """Five plants with six actuators; weights over four decades."""
+    """Draw five plants with six actuators; weights over four decades."""
     found, kinds = [], (_speed, _heater, _tanks, _boat, _lifted)
     for number, law in enumerate([law for law in LAWS for _ in range(5)]):
         random = np.random.default_rng([7, number])
@@ -147,7 +148,7 @@ def lost_slope() -> list[Drawn]:
 
 
 def dead_points() -> list[Drawn]:
-    """The same, where the first plan has the controls at 0, where most of their slopes vanish."""
+    """Draw the same plants with controls at 0 in the first plan, where most slopes vanish."""
     found = []
     for drawn in lost_slope():
         lower, upper = next(iter(drawn.plant.controls.values()))
@@ -156,7 +157,7 @@ def dead_points() -> list[Drawn]:
 
 
 def _reactor(random: np.random.Generator) -> Plant:
-    """The exothermic stirred tank at its unstable steady state, by the coolant."""
+    """Return the exothermic stirred tank at its unstable steady state, controlled by the coolant."""
     k0, heat = 7.2e10 * 10 ** random.uniform(-0.02, 0.02), random.uniform(205, 212)
 
     def k(T: ca.SX) -> ca.SX:
@@ -177,7 +178,7 @@ def _reactor(random: np.random.Generator) -> Plant:
 
 
 def _chemostat(random: np.random.Generator, economic: bool) -> Plant:
-    """Biomass and substrate with inhibition, by dilution; it may wash out."""
+    """Return biomass and substrate with inhibition, controlled by dilution; the biomass may wash out."""
     top, inhibition = random.uniform(0.45, 0.55), random.uniform(15, 30)
 
     def mu(S: ca.SX) -> ca.SX:
@@ -200,7 +201,7 @@ def _chemostat(random: np.random.Generator, economic: bool) -> Plant:
 
 
 def _levitation(random: np.random.Generator) -> Plant:
-    """A ball below a magnet: the force falls with the square of the gap and grows with that of the current."""
+    """Return a ball below a magnet, whose force falls with the gap squared and grows with the current squared."""
     g, c = 9.81, random.uniform(0.8, 1.3) * 9.81e-4
     return Plant(
         "levitation",
@@ -217,7 +218,7 @@ def _levitation(random: np.random.Generator) -> Plant:
 
 
 def _pendulum(random: np.random.Generator) -> Plant:
-    """An upright pendulum, by a torque that is too weak to hold it everywhere."""
+    """Return an upright pendulum with a torque that is too weak to hold it everywhere."""
     length, friction = random.uniform(0.5, 2), random.uniform(0.05, 0.4)
     return Plant(
         "pendulum",
@@ -233,7 +234,7 @@ def _pendulum(random: np.random.Generator) -> Plant:
 
 
 def _blending(random: np.random.Generator) -> Plant:
-    """Two feeds into a tank: level and concentration."""
+    """Return a tank with two feeds, controlled in level and concentration."""
     a, b, area = random.uniform(0.7, 0.95), random.uniform(0.02, 0.2), random.uniform(0.5, 3)
     return Plant(
         "blending",
@@ -253,7 +254,7 @@ def _blending(random: np.random.Generator) -> Plant:
 
 
 def _heating(random: np.random.Generator) -> Plant:
-    """A room that is heated by flow times supply temperature."""
+    """Return a room that is heated by flow times supply temperature."""
     loss, mass = random.uniform(0.05, 0.2), random.uniform(10, 40)
     return Plant(
         "heating",
@@ -272,7 +273,7 @@ def _heating(random: np.random.Generator) -> Plant:
 
 
 def _mixing_power(random: np.random.Generator) -> Plant:
-    """A motor whose torque is a product of field and armature currents."""
+    """Return a motor whose torque is a product of field and armature currents."""
     load, tau = random.uniform(0.1, 0.5), 10 ** random.uniform(-1, 1)
     return Plant(
         "motor",
@@ -289,7 +290,7 @@ def _mixing_power(random: np.random.Generator) -> Plant:
 
 
 def unstable() -> list[Drawn]:
-    """Unstable plants and products of controls, tracking and economic; weights over three decades."""
+    """Draw unstable plants and products of controls, tracking and economic; weights over three decades."""
     makers: list[Callable[[np.random.Generator], Plant]] = [
         _reactor,
         _levitation,
@@ -308,7 +309,7 @@ def unstable() -> list[Drawn]:
     return found
 
 
-#: The draws by name: problems of each, of which LOOPS are flown.
+#: The draws by name: each returns problems, of which LOOPS are simulated.
 DRAWS: dict[str, Callable[[], list[Drawn]]] = {
     "lost slope": lost_slope,
     "dead points": dead_points,

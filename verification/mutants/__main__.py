@@ -1,8 +1,9 @@
-"""Put the faults of mutants.py into a copy of the project, one at a time, and run the nearest tests.
+"""The command puts the faults of mutants.py into a copy of the project, one at a time, and runs the nearest tests.
 
     python -m verification.mutants [NUMBER ...]
 
-A fault is caught if a test fails; an error before the first test does not count. Ends with 1 if a fault survives.
+A fault is caught if a test fails; an error before the first test does not count. The exit status is 1 if a fault
+survives.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ SECONDS = 240  # of the tests of a fault
 
 
 def copy_project(folder: Path) -> None:
-    """What the tests need."""
+    """Copy the files that the tests need."""
     for name in COPIED:
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -33,7 +34,10 @@ def copy_project(folder: Path) -> None:
 
 
 def put(mutant: Mutant, folder: Path) -> str:
-    """Put the fault into the copy; returns the text before. ValueError: the text is not there once."""
+    """Put the fault into the copy and return the text before.
+
+    Raises ValueError unless the text that it replaces occurs once.
+    """
     path = folder / mutant.path
     text = path.read_text(encoding="utf-8")
     if text.count(mutant.before) != 1:
@@ -43,7 +47,7 @@ def put(mutant: Mutant, folder: Path) -> str:
 
 
 def run(mutant: Mutant, folder: Path) -> tuple[bool, str]:
-    """Whether the tests see the fault, and the first test that does."""
+    """Return whether the tests detect the fault, and the first test that does."""
     text = put(mutant, folder)
     try:
         environment = {**os.environ, "PYTHONPATH": str(folder / "src")}
@@ -58,7 +62,7 @@ def run(mutant: Mutant, folder: Path) -> tuple[bool, str]:
 
 
 def main() -> None:
-    """All faults, or those whose numbers are given."""
+    """Run all faults, or those whose numbers are given."""
     numbers = [int(word) for word in sys.argv[1:]] or range(1, len(MUTANTS) + 1)
     survived = 0
     with tempfile.TemporaryDirectory() as name:

@@ -1,4 +1,4 @@
-"""The faults: a file, a text that it contains once, what replaces it, and the nearest tests."""
+"""A fault has a file, a text that occurs in it once, its replacement, and the nearest tests."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Mutant:
-    """A fault: ``before`` occurs once in ``path`` and becomes ``after``; ``tests`` are arguments of pytest."""
+    """``before`` occurs once in ``path`` and is replaced by ``after``; ``tests`` are arguments of pytest."""
 
     name: str
     path: str

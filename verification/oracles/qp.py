@@ -1,4 +1,4 @@
-"""Oracles of the QP solvers: optimality conditions, problems built backwards from their solution, and enumeration.
+"""QP solvers are tested by optimality conditions, problems built backwards from a solution, and enumeration.
 
 min 1/2 z'Hz + g'z   s.t.  lower <= (z, A z) <= upper
 H z + g + mult[:n] + A' mult[n:] = 0,   mult >= 0 at an upper bound, <= 0 at a lower one, 0 in between
@@ -16,7 +16,10 @@ LOWER, FREE, UPPER, EQUAL = -1, 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class QuadraticProgram:
-    """A QP with its solution ``z`` and multipliers ``mult`` if known; ``state``: the constructed state of each row."""
+    """A QP has its solution ``z`` and multipliers ``mult`` if they are known.
+
+    ``state``: the constructed state of each row.
+    """
 
     H: np.ndarray
     g: np.ndarray
@@ -29,7 +32,7 @@ class QuadraticProgram:
 
     @property
     def rows(self) -> np.ndarray:
-        """Identity on top of A."""
+        """Return the identity on top of A."""
         return np.vstack([np.eye(len(self.g)), self.A])
 
     @property
@@ -39,7 +42,7 @@ class QuadraticProgram:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Violations of the optimality conditions, each relative to the magnitude of its terms."""
+    """Residuals are violations of the optimality conditions, each relative to the magnitude of its terms."""
 
     stationarity: float
     feasibility: float
@@ -51,12 +54,12 @@ class Residuals:
 
 
 def residuals(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray, penalty: np.ndarray | float = np.inf) -> Residuals:
-    """Relative residuals at (z, mult).
+    """Return the relative residuals at (z, mult).
 
     stationarity: |H z + g + C'mult| / (|H||z| + |g| + |C'||mult|) in the largest norm, C = rows.
     feasibility: violation / (|bound| + |c_i||z|_max + 1e-20); sign: |mult_i| relative to the
     largest, times the relative distance (at most 1) from the bound that its sign selects.
-    ``penalty``: of the general rows, cost penalty * violation in place of the row. A row whose multiplier is at this
+    ``penalty``: a general row is replaced by the cost penalty * violation. A row whose multiplier is at this
     limit may be violated on that side; |mult| > penalty counts as a sign violation of 1.
     Multipliers have the unit of the cost over that of a row. A constant cost (H = 0, g = 0) provides no unit, and every
     multiplier of a solution is 0; the residuals are then relative to 1, so that rounding errors are not compared with
@@ -82,7 +85,7 @@ def residuals(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray, penalty: np
 
 
 def hessian(rng: np.random.Generator, n: int, condition: float) -> np.ndarray:
-    """Symmetric positive definite with random eigenvectors and logarithmically spread eigenvalues 1 .. condition."""
+    """Return a positive definite matrix with random eigenvectors, and eigenvalues from 1 to ``condition``."""
     Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     H = (Q * np.geomspace(1.0, condition, n)) @ Q.T if n > 1 else np.array([[condition]])
     return np.asarray((H + H.T) / 2)
@@ -99,7 +102,7 @@ def from_solution(
     A: np.ndarray | None = None,
     H: np.ndarray | None = None,
 ) -> QuadraticProgram:
-    """A QP built backwards from a chosen KKT point.
+    """Return a QP built backwards from a chosen KKT point.
 
     ``weights``: of the states lower, free, upper, equal of a row; ``degenerate``: share of the active rows whose
     multiplier is zero; ``scale``: variables are spread over scale^-1 .. scale.
@@ -128,7 +131,7 @@ def from_solution(
 
 
 def infeasible(rng: np.random.Generator, n: int, m: int, condition: float = 1e2) -> QuadraticProgram:
-    """A QP without feasible point and its Farkas certificate as ``mult``.
+    """Return a QP without feasible point, with its Farkas certificate as ``mult``.
 
     With weights w >= 0 of some rows, sum_j w_j a_j = s row r, so row r is bounded by s sum_j w_j upper_j;
     the lower bound of row r is put above that. m >= 1.
@@ -152,7 +155,7 @@ def infeasible(rng: np.random.Generator, n: int, m: int, condition: float = 1e2)
 
 
 def by_enumeration(qp: QuadraticProgram, tolerance: float = 1e-9) -> np.ndarray | None:
-    """Minimiser found by trying every working set; None if there is no feasible one. For tiny QPs only."""
+    """Return the minimiser found by trying every working set, or None if no set is feasible; for tiny QPs only."""
     n, C = len(qp.g), qp.rows
     choices = []
     for lo, up in zip(qp.lower, qp.upper, strict=True):

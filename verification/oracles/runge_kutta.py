@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta and its forward sensitivities on plain NumPy functions, straight from the tableau's definition.
+"""NumPy computes explicit Runge-Kutta steps and their forward sensitivities from the definition of the tableau.
 
     X_i = x + h sum_j a_ij K_j,   K_i = f(X_i, u, p),   x+ = x + h sum_i b_i K_i
     K_i' = f_x(X_i) X_i' + (0, f_u(X_i)),   the same combinations of the derivatives with respect to (x, u)
@@ -38,7 +38,7 @@ class Model:
 
 
 def integrate(model: Model, scheme: str, steps: int, dt: float, x: Array, u: Array, p: Array) -> tuple[Array, Array]:
-    """x(dt) and S = d x(dt) / d(x, u), (nx, nx + nu)."""
+    """Return x(dt) and S = d x(dt) / d(x, u), (nx, nx + nu)."""
     a, b = SCHEMES[scheme]
     h = dt / steps
     nx, nu = len(x), len(u)
@@ -57,7 +57,7 @@ def integrate(model: Model, scheme: str, steps: int, dt: float, x: Array, u: Arr
 
 
 def complex_step(f: Callable[[Array], Array], z: Array) -> Array:
-    """Jacobian of an analytic f, exact to rounding: Im f(z + i e) / e."""
+    """Return the Jacobian of an analytic f, exact to rounding: Im f(z + i e) / e."""
     step = 1e-30
     columns = [np.imag(f(z + 1j * step * e)) / step for e in np.eye(len(z))]
     return np.stack(columns, axis=-1)

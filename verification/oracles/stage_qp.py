@@ -1,4 +1,4 @@
-"""Stage QPs and their optimality conditions in NumPy, independent of every solver.
+"""NumPy evaluates stage QPs and their optimality conditions, independently of every solver.
 
     min   sum_{k<N} 1/2 z_k' Q_k z_k + g_k' z_k  +  1/2 dx_N' Q_N dx_N + g_N' dx_N  +  penalties of violated soft rows
     s.t.  dx_0 = xhat - x_0 (except its free components),   dx_{k+1} = S_k z_k + b_k,   z_k = (dx_k, du_k)
@@ -20,21 +20,21 @@ from scipy.sparse.linalg import LinearOperator, onenormest
 
 Array = np.ndarray
 
-#: (l1, l2) of the soft row at position i, in turn.
+#: (l1, l2) of the soft row of index i, in turn.
 SOFT = ((2.0, 0.0), (1.0, 0.5), (0.0, 3.0), (0.3, 10.0))
 TINY = np.finfo(float).tiny
-REDUNDANT = 1e-13  # in place of the zero block of K
+REDUNDANT = 1e-13  # replaces the zero block of K
 
 
 @dataclass(frozen=True, order=True)
 class Shape:
-    """Dimensions of a stage QP, for which a package is built.
+    """A shape has the dimensions of a stage QP, for which a package is built.
 
     ``controls``: the first so many controls are bounded (None: all); ``states``: the first so many states are bounded
     at nodes 1 .. N; ``path``: general rows on (x, u) at nodes 0 .. N-1; ``pure``: general rows on x at nodes 1 .. N;
-    ``end``: general rows at node N; ``coupled``: rows on (x_0, x_N); ``soft``: positions of the soft ones in the list
-    (states, path, pure, end, coupled); ``free``: the first so many components of x_0 are free, with which state bounds
-    of theirs and pure rows hold at node 0 too.
+    ``end``: general rows at node N; ``coupled``: rows on (x_0, x_N); ``soft``: indices of the soft ones in the list
+    (states, path, pure, end, coupled); ``free``: the first so many components of x_0 are free; their state bounds and
+    the pure rows then also hold at node 0.
     """
 
     nx: int
@@ -57,25 +57,25 @@ class Shape:
 
     @property
     def bounded(self) -> int:
-        """Bounded controls."""
+        """Return the number of bounded controls."""
         return self.nu if self.controls is None else self.controls
 
     @property
     def user_rows(self) -> int:
-        """Scalar rows as stated by a user, without control bounds."""
+        """Return the number of scalar rows as a user states them, without control bounds."""
         return self.states + self.path + self.pure + self.end + self.coupled
 
     @property
     def penalties(self) -> tuple[tuple[float, float] | None, ...]:
-        """(l1, l2) of every user row, None: hard."""
+        """Return (l1, l2) of every user row, None for a hard one."""
         return tuple(SOFT[i % len(SOFT)] if i in self.soft else None for i in range(self.user_rows))
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The QP rows of a shape, sorted by (node, kind, index): kind 0 state bound, 1 general row, 2 coupled row.
+    """The QP rows of a shape are sorted by (node, kind, index): kind 0 state bound, 1 general row, 2 coupled row.
 
-    ``user``: position of the user's row; ``l1`` (infinite: hard), ``l2``.
+    ``user``: index of the user's row; ``l1`` (infinite: hard), ``l2``.
     """
 
     node: Array
@@ -91,7 +91,7 @@ class Rows:
 
 @cache
 def rows_of(shape: Shape) -> Rows:
-    """QP rows besides the control bounds."""
+    """Return the QP rows besides the control bounds."""
     found = sorted(_listed(shape))
     node, kind, index, user = (np.array([r[i] for r in found], dtype=int) for i in range(4))
     soft = [shape.penalties[i] for i in user]
@@ -101,7 +101,7 @@ def rows_of(shape: Shape) -> Rows:
 
 
 def _listed(s: Shape) -> Iterator[tuple[int, int, int, int]]:
-    """(node, kind, index, position of the user's row)."""
+    """Yield (node, kind, index, index of the user's row)."""
     first = 0 if s.free else 1
     for i in range(s.states):
         yield from ((k, 0, i, i) for k in range(0 if i < s.free else 1, s.N + 1))
@@ -122,7 +122,7 @@ def _listed(s: Shape) -> Iterator[tuple[int, int, int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """dx (N+1, nx), du (N, nu), multipliers of control bounds (N, nu) and of the rows (ng,)."""
+    """A point has dx (N+1, nx), du (N, nu), multipliers of control bounds (N, nu) and of the rows (ng,)."""
 
     dx: Array
     du: Array
@@ -132,7 +132,7 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class StageQP:
-    """A stage QP; only nx, nu, N and free of its shape are used.
+    """A stage QP uses only nx, nu, N and free of its shape.
 
     Q (N, nz, nz) and Q_N are symmetric; rows C (ng, nz) (x part only at node N), C0 (ng, nx), c (ng,).
     ``optimum``: the point from which it was built; None: infeasible, and ``proof`` = (weights of du bounds, of rows)
@@ -172,23 +172,26 @@ class StageQP:
 
 
 def stacked(dx: Array, du: Array) -> Array:
-    """(N+1, nz): z_k, with zeros in place of u_N."""
+    """Return z_k (N+1, nz), with zeros instead of u_N."""
     return np.hstack([dx, np.vstack([du, np.zeros((1, du.shape[1]))])])
 
 
 def row_values(qp: StageQP, dx: Array, du: Array) -> Array:
-    """Values of the rows, (ng,)."""
+    """Return the values of the rows, (ng,)."""
     return np.asarray(qp.c + np.einsum("mi,mi->m", qp.C, stacked(dx, du)[qp.rows.node]) + qp.C0 @ dx[0])
 
 
 def row_sizes(qp: StageQP, dx: Array, du: Array) -> Array:
-    """Sum of the absolute values of the terms of every row."""
+    """Return the sum of the absolute values of the terms of every row."""
     z = np.abs(stacked(dx, du))[qp.rows.node]
     return np.asarray(np.abs(qp.c) + np.einsum("mi,mi->m", np.abs(qp.C), z) + np.abs(qp.C0) @ np.abs(dx[0]))
 
 
 def cost_gradient(qp: StageQP, p: Point, absolute: bool = False) -> tuple[Array, Array]:
-    """Gradient of cost and rows in z_k (N, nz) and dx_N (nx,), without the dynamics; or the sums of its |terms|."""
+    """Return the gradient of cost and rows in z_k (N, nz) and dx_N (nx,), without the dynamics.
+
+    Or the sums of its |terms|.
+    """
     f = np.abs if absolute else (lambda a: a)
     nx, N = qp.shape.nx, qp.shape.N
     z = f(stacked(p.dx, p.du))
@@ -203,7 +206,7 @@ def cost_gradient(qp: StageQP, p: Point, absolute: bool = False) -> tuple[Array,
 
 
 def recover_lam(qp: StageQP, p: Point) -> Array:
-    """lam (N+1, nx) by the adjoint recursion from stationarity in the states."""
+    """Return lam (N+1, nx) by the adjoint recursion from stationarity in the states."""
     G, G_N = cost_gradient(qp, p)
     nx = qp.shape.nx
     lam = np.empty_like(p.dx)
@@ -215,8 +218,10 @@ def recover_lam(qp: StageQP, p: Point) -> Array:
 
 
 def fitted_lam(qp: StageQP, p: Point) -> Array:
-    """lam that makes the Lagrangian stationary in the least-squares sense, because the recursion amplifies rounding
-    errors if the dynamics are unstable."""
+    """Return lam that makes the Lagrangian stationary in the least-squares sense.
+
+    The recursion amplifies rounding errors if the dynamics are unstable.
+    """
     nx, nu, N, free = qp.shape.nx, qp.shape.nu, qp.shape.N, qp.shape.free
     G, G_N = cost_gradient(qp, p)
     M = dynamics_matrix(qp).T
@@ -236,7 +241,7 @@ def fitted_lam(qp: StageQP, p: Point) -> Array:
 
 
 class SparseQR:
-    """QR factors of a sparse matrix by CasADi; RuntimeError if it is singular.
+    """CasADi computes QR factors of a sparse matrix, with RuntimeError if it is singular.
 
     SciPy's SuperLU passes invalid dimensions to BLAS for some of these matrices, and may fault; CasADi's interface to
     MUMPS returns garbage for some of them without an error.
@@ -253,12 +258,12 @@ class SparseQR:
         self._solver.nfact(self._matrix)
 
     def solve(self, right: Array) -> Array:
-        """K^-1 right, (n,)."""
+        """Return K^-1 right, (n,)."""
         return np.asarray(self._solver.solve(self._matrix, ca.DM(right))).ravel()
 
 
 def dynamics_matrix(qp: StageQP) -> sp.csr_matrix:
-    """D of the rows -dx_0 and S_k z_k - dx_{k+1} in the variables (z_0, .., z_{N-1}, dx_N)."""
+    """Return D of the rows -dx_0 and S_k z_k - dx_{k+1} in the variables (z_0, .., z_{N-1}, dx_N)."""
     nx, nu, N = qp.shape.nx, qp.shape.nu, qp.shape.N
     n = N * (nx + nu) + nx
     states = (np.arange(N + 1)[:, None] * (nx + nu) + np.arange(nx)).ravel()
@@ -269,7 +274,7 @@ def dynamics_matrix(qp: StageQP) -> sp.csr_matrix:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Violations of the optimality conditions, each relative to the magnitude of its terms."""
+    """Residuals are violations of the optimality conditions, each relative to the magnitude of its terms."""
 
     stationarity: float
     dynamics: float
@@ -278,16 +283,16 @@ class Residuals:
 
     @property
     def worst(self) -> float:
-        """Largest violation; NaN if one of them is NaN."""
+        """Return the largest violation; NaN if one of them is NaN."""
         return float(np.max([self.stationarity, self.dynamics, self.feasibility, self.rows]))
 
 
 def residuals(qp: StageQP, p: Point) -> Residuals:
-    """Relative residuals of a point.
+    """Return the relative residuals of a point.
 
     stationarity: gradient of the Lagrangian in z_k over the largest sum of its terms' sizes, in units of the variables,
-    with lam recovered by recursion, or fitted if the dynamics are unstable; dynamics: gaps likewise; feasibility:
-    violation of bounds and hard rows over |bound| + size of the terms; rows: see natural_residual().
+    with lam recovered by recursion, or fitted if the dynamics are unstable; dynamics: gaps, relative in the same way;
+    feasibility: violation of bounds and hard rows over |bound| + size of the terms; rows: see natural_residual().
     """
     lam = recover_lam(qp, p) if qp.growth <= 1.05 else fitted_lam(qp, p)
     stationarity, size = _stationarity(qp, p, lam)
@@ -295,7 +300,7 @@ def residuals(qp: StageQP, p: Point) -> Residuals:
 
 
 def _stationarity(qp: StageQP, p: Point, lam: Array) -> tuple[float, float]:
-    """(residual, size of the largest gradient in units of cost)."""
+    """Return (residual, size of the largest gradient in units of cost)."""
     nx, N = qp.shape.nx, qp.shape.N
     units = np.concatenate([qp.unit_x, qp.unit_u])
     G, G_N = cost_gradient(qp, p)
@@ -320,7 +325,10 @@ def _gaps(qp: StageQP, p: Point) -> float:
 
 
 def _rows_and_bounds(qp: StageQP, p: Point, gradient: float) -> tuple[float, float]:
-    """(feasibility, rows); ``gradient``: size of the gradient in units of cost, which makes multipliers relative."""
+    """Return (feasibility, rows).
+
+    ``gradient``: size of the gradient in units of cost, which makes multipliers relative.
+    """
     units = np.concatenate([qp.unit_x, qp.unit_u])
     largest = max(np.max(np.abs(stacked(p.dx, p.du)) / units), TINY)
     unit = np.concatenate([np.tile(qp.unit_u, qp.shape.N), np.abs(qp.C) @ units + np.abs(qp.C0) @ qp.unit_x + TINY])
@@ -336,7 +344,7 @@ def _rows_and_bounds(qp: StageQP, p: Point, gradient: float) -> tuple[float, flo
 
 
 def natural_residual(value: Array, mult: Array, lower: Array, upper: Array, l1: Array, l2: Array, tau: Array) -> Array:
-    """|value - prox(value + tau mult)|, prox that of tau times the penalty l1 v + l2/2 v^2 of the violation v.
+    """Return |value - prox(value + tau mult)|, prox that of tau times the penalty l1 v + l2/2 v^2 of the violation v.
 
     It vanishes if and only if mult is a subgradient of the penalty at value: sign, complementarity, and of a violated
     soft row mult = l1 + l2 v in one formula. l1 infinite: a hard row, whose prox is the projection.
@@ -355,7 +363,7 @@ def _finite(a: Array) -> Array:
 
 
 def distance(qp: StageQP, p: Point, other: Point | None = None) -> float:
-    """Largest difference of dx, du from the optimum (or from another point), in units, relative to max(1, largest)."""
+    """Return the largest difference of dx, du from the optimum or another point, in units, relative to the largest."""
     reference = other or qp.optimum
     assert reference is not None
     pairs = ((p.dx, reference.dx, qp.unit_x), (p.du, reference.du, qp.unit_u))
@@ -364,7 +372,7 @@ def distance(qp: StageQP, p: Point, other: Point | None = None) -> float:
 
 
 def objective_error(qp: StageQP, p: Point) -> float:
-    """|f(p) - f(optimum)| over the size of its terms, without cancellation: d'(H (z + z*)/2 + g), d = z - z*."""
+    """Return |f(p) - f(optimum)| over the size of its terms, without cancellation: d'(H (z + z*)/2 + g), d = z - z*."""
     assert qp.optimum is not None
     z, best = stacked(p.dx, p.du), stacked(qp.optimum.dx, qp.optimum.du)
     nx, N = qp.shape.nx, qp.shape.N
@@ -379,7 +387,7 @@ def objective_error(qp: StageQP, p: Point) -> float:
 
 
 def penalty(qp: StageQP, p: Point) -> float:
-    """Cost of the violated soft rows."""
+    """Return the cost of the violated soft rows."""
     value = row_values(qp, p.dx, p.du)
     v = np.maximum(np.maximum(value - qp.upper, qp.lower - value), 0.0)
     soft = np.isfinite(qp.rows.l1)
@@ -387,7 +395,7 @@ def penalty(qp: StageQP, p: Point) -> float:
 
 
 def sparse_form(qp: StageQP) -> tuple[sp.csc_matrix, Array, sp.csr_matrix, sp.csr_matrix]:
-    """H, gradient, dynamics D and rows R in the variables w = (z_0, .., z_{N-1}, dx_N): D w + (dx_0, b) = 0."""
+    """Return H, gradient, dynamics D and rows R in w = (z_0, .., z_{N-1}, dx_N): D w + (dx_0, b) = 0."""
     s = qp.shape
     nz = s.nx + s.nu
     H = sp.block_diag([*qp.Q, qp.Q_N], format="csc")
@@ -402,11 +410,11 @@ def sparse_form(qp: StageQP) -> tuple[sp.csc_matrix, Array, sp.csr_matrix, sp.cs
 
 
 def condition(qp: StageQP, exact: bool = False) -> float:
-    """|K|_1 |P K^-1|_1 of the KKT matrix K at the optimum in units of the variables, P = primal part (an estimate).
+    """Estimate |K|_1 |P K^-1|_1 of the KKT matrix K at the optimum in units of the variables, P = primal part.
 
     The larger of two: with all active rows, and with those that carry a multiplier. Where rows are redundant on purpose
-    K is regularised by REDUNDANT. ``exact``: from dense decompositions, which bear rows that depend on others by chance
-    or nearly so; there the estimate is too small.
+    K is regularised by REDUNDANT. ``exact``: from dense decompositions, which allow rows that depend on others by
+    chance or nearly so; the estimate would be too small for them.
     """
     assert qp.optimum is not None
     s, p = qp.shape, qp.optimum
@@ -436,8 +444,10 @@ def condition(qp: StageQP, exact: bool = False) -> float:
 
 
 def _dense_primal_condition(H: sp.spmatrix, A: sp.spmatrix) -> float:
-    """|P K^-1|_2 |K|_1, where what A has below rounding is none of its rank: on its null space Z the primal part is
-    W = Z (Z'HZ)^-1 Z', on its range (I - W H) A^+."""
+    """Return |P K^-1|_2 |K|_1, where singular values of A below rounding do not count.
+
+    On the null space Z of A the primal part is W = Z (Z'HZ)^-1 Z', on its range (I - W H) A^+.
+    """
     U, s, V = np.linalg.svd(A.toarray())
     rank = int(np.sum(s > 1e-14 * len(s) * s[0]))
     Z, pseudo = V[rank:].T, V[:rank].T / s[:rank] @ U[:, :rank].T
@@ -448,7 +458,7 @@ def _dense_primal_condition(H: sp.spmatrix, A: sp.spmatrix) -> float:
 
 
 def _primal_condition(H: sp.spmatrix, A: sp.spmatrix, delta: float) -> float:
-    """The same for K = [H A'; A -delta I]."""
+    """Estimate |P K^-1|_1 |K|_1 for K = [H A'; A -delta I]."""
     n, m = H.shape[0], A.shape[0]
     K = sp.bmat([[H, A.T], [A, -delta * sp.eye(m)]], format="csc")
     try:

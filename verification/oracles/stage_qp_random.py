@@ -1,4 +1,4 @@
-"""Random stage QPs built backwards: first the KKT point, then data for which it satisfies the optimality conditions.
+"""Random stage QPs are built backwards: first the KKT point, then data that satisfy its optimality conditions.
 
     b_k = dx_{k+1} - S_k z_k,   g_k = -(Q_k z_k + S_k' lam_{k+1} - (lam_k, 0) + rows' mult),   bounds around the values
 
@@ -26,7 +26,7 @@ FREE, LOWER, UPPER, EQUAL, UNDER, OVER = 0, -1, 1, 2, -2, 3
 def random_qp(
     shape: Shape, kind: str, seed: int, radius: float = 1.05, active: float = 0.5, digits: int | None = None
 ) -> StageQP:
-    """A stage QP of a kind.
+    """Return a stage QP of a kind.
 
     Args:
         shape: dimensions.
@@ -49,7 +49,7 @@ def random_qp(
 
 
 def kinds_of(shape: Shape) -> tuple[str, ...]:
-    """The kinds that a shape has; infeasible ones need bounds on all controls, x_0 given and a hard row."""
+    """Return the kinds that a shape has; infeasible ones need bounds on all controls, x_0 given and a hard row."""
     hard = np.any(np.isinf(rows_of(shape).l1))
     possible = hard and shape.bounded == shape.nu and not shape.free
     return (*KINDS, SEMIDEFINITE, *((INFEASIBLE,) if possible else ()))
@@ -57,7 +57,7 @@ def kinds_of(shape: Shape) -> tuple[str, ...]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Draw:
-    """Random numbers, rounded to ``digits`` decimals."""
+    """Random numbers are rounded to ``digits`` decimals."""
 
     rng: np.random.Generator
     digits: int | None
@@ -69,7 +69,7 @@ class _Draw:
         return self.rounded(self.rng.normal(size=size))
 
     def positive(self, *size: int) -> Array:
-        """Exponential, at least 0.1."""
+        """Draw exponential numbers of at least 0.1."""
         return self.rounded(self.rng.exponential(size=size) + 0.1)
 
     def rotation(self, n: int) -> Array:
@@ -81,7 +81,7 @@ class _Draw:
 
 
 def _stages(draw: _Draw, shape: Shape, kind: str, radius: float) -> StageQP:
-    """Dynamics, Hessian and gradients of the rows; all data that depend on the point are still zero."""
+    """Draw dynamics, Hessian and gradients of the rows; all data that depend on the point are still zero."""
     nx, nu, N = shape.nx, shape.nu, shape.N
     nz, rows = nx + nu, rows_of(shape)
     S = _dynamics(draw, shape, kind, radius)
@@ -108,7 +108,7 @@ def _stages(draw: _Draw, shape: Shape, kind: str, radius: float) -> StageQP:
 
 
 def _dynamics(draw: _Draw, shape: Shape, kind: str, radius: float) -> Array:
-    """S_k = [T_{k+1}' A T_k c_k, B_k], T orthogonal: A_k varies, yet products grow as powers of one matrix."""
+    """Draw S_k = [T_{k+1}' A T_k c_k, B_k], T orthogonal: A_k varies, yet products grow as powers of one matrix."""
     nx, nu, N, rng = shape.nx, shape.nu, shape.N, draw.rng
     A = rng.normal(size=(nx, nx))
     if rng.random() < 0.3:
@@ -126,7 +126,7 @@ def _dynamics(draw: _Draw, shape: Shape, kind: str, radius: float) -> Array:
 
 
 def _hessian(draw: _Draw, shape: Shape, kind: str) -> tuple[Array, Array]:
-    """Q_k = F F' + I/4 on the controls, of any rank; Q_N may be zero."""
+    """Draw Q_k = F F' + I/4 on the controls, of any rank; Q_N may be zero."""
     nx, nu, N, rng = shape.nx, shape.nu, shape.N, draw.rng
     nz = nx + nu
     low = kind in ("singular_weights", SEMIDEFINITE)
@@ -143,7 +143,7 @@ def _hessian(draw: _Draw, shape: Shape, kind: str) -> tuple[Array, Array]:
 
 
 def _idle_controls(draw: _Draw, shape: Shape, S: Array, Q: Array, C: Array, rows: Rows) -> None:
-    """At some nodes the last control has neither effect nor cost, or the same effect and cost as the first one."""
+    """Give the last control at some nodes neither effect nor cost, or effect and cost of the first one."""
     nx, last = shape.nx, shape.nx + shape.nu - 1
     for k in np.flatnonzero(draw.rng.random(shape.N) < 0.3):
         twin = draw.rng.random() < 0.5
@@ -155,7 +155,7 @@ def _idle_controls(draw: _Draw, shape: Shape, S: Array, Q: Array, C: Array, rows
 
 
 def _indefinite(draw: _Draw, S: Array, Q: Array, Q_N: Array) -> tuple[Array, Array]:
-    """Indefinite blocks with the same Hessian on the null space of the dynamics.
+    """Draw indefinite blocks with the same Hessian on the null space of the dynamics.
 
     The terms 1/2 x_{k+1}'P_{k+1} x_{k+1} - 1/2 x_k'P_k x_k of all intervals and -1/2 x_N'P_N x_N add up to a constant.
     """
@@ -169,7 +169,7 @@ def _indefinite(draw: _Draw, S: Array, Q: Array, Q_N: Array) -> tuple[Array, Arr
 
 
 def _repeat(draw: _Draw, shape: Shape, rows: Rows, C: Array) -> None:
-    """General rows that are multiples of others of their node, single states and controls, or zero."""
+    """Replace general rows by multiples of others of their node, single states and controls, or zero."""
     rng, nx, nz = draw.rng, shape.nx, shape.nx + shape.nu
     for k in range(shape.N + 1):
         general = np.flatnonzero((rows.node == k) & (rows.kind == 1))
@@ -188,7 +188,7 @@ def _repeat(draw: _Draw, shape: Shape, rows: Rows, C: Array) -> None:
 
 
 def _around_point(draw: _Draw, qp: StageQP, kind: str, share: float) -> StageQP:
-    """Gaps, gradients and bounds for which a random point is the optimum."""
+    """Return gaps, gradients and bounds for which a random point is the optimum."""
     s, rng, rows = qp.shape, draw.rng, qp.rows
     dx, du = draw.normal(s.N + 1, s.nx), draw.normal(s.N, s.nu)
     plan = 0.0 if kind == "scaled" or rng.random() < 0.2 else 1.0
@@ -217,7 +217,7 @@ def _around_point(draw: _Draw, qp: StageQP, kind: str, share: float) -> StageQP:
 
 
 def _states(draw: _Draw, qp: StageQP, kind: str, share: float) -> tuple[Array, Array]:
-    """State of every control bound and every row at the optimum.
+    """Choose the state of every control bound and every row at the optimum.
 
     Unless the kind is "redundant", the hard active rows up to any node are no more than the free controls up to it:
     more would depend on each other.
@@ -259,7 +259,7 @@ def _side(draw: _Draw, kind: str, soft: bool) -> int:
 def _bounds(
     draw: _Draw, value: Array, state: Array, l1: Array, l2: Array, degenerate: float
 ) -> tuple[Array, Array, Array]:
-    """Bounds and multipliers of rows with these values and states."""
+    """Return bounds and multipliers of rows with these values and states."""
     rng, shape = draw.rng, value.shape
     sign = np.select([state == LOWER, state == UNDER], [-1.0, -1.0], 1.0)
     sign = np.where(state == EQUAL, rng.choice([-1.0, 1.0], size=shape), sign)
@@ -288,9 +288,10 @@ def _bounds(
 
 
 def _in_units(draw: _Draw, qp: StageQP) -> StageQP:
-    """The same problem in units of 1e-6 to 1e6 of states, controls, hard rows and cost; active bounds stay active.
+    """Return the same problem in units of 1e-6 to 1e6 of states, controls, hard rows and cost.
 
-    If there are soft rows, their unit and that of the cost are kept, because the penalties are part of the package.
+    Active bounds stay active. If there are soft rows, their unit and that of the cost are kept, because the penalties
+    are part of the package.
     """
     rng, s, rows, p = draw.rng, qp.shape, qp.rows, qp.optimum
     assert p is not None
@@ -314,7 +315,7 @@ def _in_units(draw: _Draw, qp: StageQP) -> StageQP:
 
 
 def _meet(scaled: StageQP, plain: StageQP, row: Array) -> StageQP:
-    """Bounds in the new units."""
+    """Return the bounds in the new units."""
     p, old = scaled.optimum, plain.optimum
     assert p is not None
     assert old is not None
@@ -334,7 +335,7 @@ def _meet(scaled: StageQP, plain: StageQP, row: Array) -> StageQP:
 
 
 def condensed_rows(qp: StageQP) -> tuple[Array, Array]:
-    """(A (ng, N nu), value at du = 0 (ng,)) of the rows as functions of du, dx_0 given."""
+    """Return (A (ng, N nu), value at du = 0 (ng,)) of the rows as functions of du, with dx_0 given."""
     s, rows = qp.shape, qp.rows
     A, value = np.zeros((len(rows), s.N * s.nu)), qp.c + qp.C0 @ qp.dx0
     G, x = np.zeros((s.nx, s.N * s.nu)), qp.dx0
@@ -352,7 +353,7 @@ def condensed_rows(qp: StageQP) -> tuple[Array, Array]:
 
 
 def _contradiction(draw: _Draw, qp: StageQP) -> StageQP:
-    """One hard row requires more than bounded controls and up to two other rows allow.
+    """Make one hard row require more than bounded controls and up to two other rows allow.
 
     a_m du = sum_j c_j a_j du + rest' du <= sum_j max(c_j lower_j, c_j upper_j) + sum_i max(rest_i du_i over its bounds)
     """

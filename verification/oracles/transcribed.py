@@ -1,4 +1,4 @@
-"""Multiple shooting written down by hand and solved by IPOPT: no part of the package takes part in it.
+"""Multiple shooting is written by hand and solved by IPOPT, without any part of the package.
 
 A node has its state x, its control u, the control v of the node before, the time t, and d, the time between its control
 and the one before. Controls of one block of ``hold`` are one variable.
@@ -23,7 +23,7 @@ OfEnd = Callable[[Any, Any, Any], Any]
 
 @dataclass(frozen=True, eq=False)
 class Transcription:
-    """A problem in plain functions. ``rows``: (lower, expression, upper, nodes)."""
+    """A problem is stated in plain functions. ``rows``: (lower, expression, upper, nodes)."""
 
     nx: int
     nu: int
@@ -41,7 +41,7 @@ class Transcription:
     def solve(
         self, x0: Any, previous: Any, time: float = 0.0, period: float | None = None, guess: Any = None
     ) -> tuple[Array, Array, float]:
-        """(x, u, cost) from x_0, after the control ``previous``; ``period``: d at node 0, by default dt_0."""
+        """Return (x, u, cost) from x_0, after the control ``previous``; ``period``: d at node 0, by default dt_0."""
         N = len(self.dt)
         lengths = self.hold or [(1,) * N] * self.nu
         free = [ca.MX.sym(f"u{j}", len(blocks)) for j, blocks in enumerate(lengths)]

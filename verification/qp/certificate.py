@@ -1,4 +1,4 @@
-"""Does a QP have a feasible point? HiGHS decides on its condensed rows."""
+"""HiGHS decides whether a QP has a feasible point, on its condensed rows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CONTRADICTION, ROUNDING = 1e-6, 1e-9
 
 
 def least_violation(qp: StageQP, A: Array, value: Array) -> float:
-    """min t >= 0 such that all hard rows hold up to t and all control bounds hold, by HiGHS; inf if that is infeasible.
+    """Return min t >= 0 such that all hard rows hold up to t and all control bounds hold; inf if that is infeasible.
 
     A, value: the condensed rows of the QP.
     """
@@ -36,7 +36,7 @@ def least_violation(qp: StageQP, A: Array, value: Array) -> float:
 
 
 def rounding(qp: StageQP, A: Array, value: Array) -> float:
-    """Accuracy of the hard rows in double precision: eps times the largest sum of the terms of their values."""
+    """Return the accuracy of the hard rows in double precision: eps times the largest sum of terms of their values."""
     hard = np.isinf(qp.rows.l1)
     range_u = np.maximum(np.abs(qp.lower_u - qp.u), np.abs(qp.upper_u - qp.u)).ravel()
     terms = np.abs(A) @ np.where(np.isfinite(range_u), range_u, 1.0) + np.abs(value)
@@ -44,7 +44,7 @@ def rounding(qp: StageQP, A: Array, value: Array) -> float:
 
 
 def certificate(qp: StageQP) -> str:
-    """ "feasible", "infeasible", "undecided", or "not finite": the plan cannot be linearised."""
+    """Return "feasible", "infeasible", "undecided", or "not finite" if the plan cannot be linearised."""
     if not all(np.all(np.isfinite(a)) for a in (qp.S, qp.b, qp.Q, qp.g, qp.C, qp.c)):
         return "not finite"
     A, value = condensed_rows(qp)

@@ -1,4 +1,4 @@
-"""Stage QPs of 13 classes, drawn backwards from a KKT point, and infeasible ones with a known contradiction.
+"""Stage QPs of 13 classes are drawn backwards from a KKT point, and infeasible ones with a known contradiction.
 
     b_k = dx_{k+1} - S_k z_k,   g_k = -(Q_k z_k + S_k' lam_{k+1} - (lam_k, 0) + rows' mult),   bounds around the values
 
@@ -27,7 +27,7 @@ from verification.oracles.stage_qp import (
 )
 from verification.oracles.stage_qp_random import EQUAL, FREE, LOWER, UPPER
 
-#: Few variables with few rows, many rows, a long horizon, many controls, a single interval.
+#: The shapes have few variables with few rows, many rows, a long horizon, many controls, a single interval.
 SHAPES = (
     Shape(2, 1, 6, states=1, path=1, end=2),
     Shape(4, 2, 8, states=2, path=1, end=2),
@@ -36,7 +36,7 @@ SHAPES = (
     Shape(6, 3, 10, states=2, path=2, end=3),
     Shape(1, 1, 1, states=1, path=2, end=1),
 )
-#: Those that have more general rows than controls.
+#: Shapes that have more general rows than controls.
 CROWDED = tuple(s for s in SHAPES if s.path * s.N + s.end > s.N * s.nu)
 
 RADIUS = 1.05  # largest spectral radius of A
@@ -44,12 +44,12 @@ RADIUS = 1.05  # largest spectral radius of A
 
 @dataclasses.dataclass
 class Draft:
-    """What is chosen before the point decides about offsets, gradients and bounds.
+    """A draft holds choices that are made before the point determines offsets, gradients and bounds.
 
-    ``integers``: all numbers are small integers. ``share``: of bounds and rows that are tried as active ones;
-    ``equal``: of them that are equations; ``independent``: no more active ones up to a node than controls up to it;
-    ``degenerate``: share of zero multipliers among the active; ``idle``: share of met bounds among the others;
-    ``boxes``: all bounds of controls are finite. Units: of states, controls, rows and cost.
+    ``integers``: all numbers are small integers. ``share``: fraction of bounds and rows that are candidates for active
+    ones; ``equal``: fraction of these that are equations; ``independent``: up to any node there are no more active ones
+    than controls; ``degenerate``: fraction of zero multipliers among the active ones; ``idle``: fraction of met bounds
+    among the others; ``boxes``: all bounds of controls are finite. Units are those of states, controls, rows and cost.
     """
 
     rng: np.random.Generator
@@ -73,21 +73,21 @@ class Draft:
     unit_cost: float = 1.0
 
     def numbers(self, *size: int) -> Array:
-        """Normal, or integers -3 .. 3."""
+        """Draw normal numbers, or integers -3 .. 3."""
         return self.rng.integers(-3, 4, size).astype(float) if self.integers else self.rng.normal(size=size)
 
     def positive(self, *size: int) -> Array:
-        """Exponential, at least 0.1, or integers 1 .. 3."""
+        """Draw exponential numbers of at least 0.1, or integers 1 .. 3."""
         return self.rng.integers(1, 4, size).astype(float) if self.integers else self.rng.exponential(size=size) + 0.1
 
 
 def shapes_of(kind: str) -> tuple[Shape, ...]:
-    """Shapes of a class, which its numbers have in turn."""
+    """Return the shapes of a class, which its numbers take in turn."""
     return CROWDED if kind == "equalities in excess" else SHAPES
 
 
 def draw(kind: str, number: int) -> StageQP:
-    """The QP of a class with this number."""
+    """Return the QP of a class with this number."""
     shapes = shapes_of(kind)
     rng = np.random.default_rng([zlib.crc32(kind.encode()), number])
     qp = CLASSES[kind](rng, shapes[number % len(shapes)])
@@ -98,7 +98,7 @@ def draw(kind: str, number: int) -> StageQP:
 
 
 def _draft(rng: np.random.Generator, shape: Shape, **more: Any) -> Draft:
-    """Dense and well-conditioned."""
+    """Return a draft with dense and well-conditioned matrices."""
     rows, nz = rows_of(shape), shape.nx + shape.nu
     C = rng.normal(size=(len(rows), nz))
     c = rng.normal(size=len(rows)) * (rng.random() < 0.5)
@@ -107,7 +107,7 @@ def _draft(rng: np.random.Generator, shape: Shape, **more: Any) -> Draft:
 
 
 def _as_rows(d: Draft) -> Draft:
-    """State bounds have unit gradients, rows at the end none of controls."""
+    """Give state bounds unit gradients, and rows at the end no gradient of controls."""
     nx, state = d.shape.nx, d.rows.kind == 0
     d.C[d.rows.node == d.shape.N, nx:] = 0.0
     d.C[state] = np.eye(d.C.shape[1])[d.rows.index[state]]
@@ -116,7 +116,7 @@ def _as_rows(d: Draft) -> Draft:
 
 
 def _dynamics(rng: np.random.Generator, shape: Shape) -> Array:
-    """Products of A grow no faster than powers of one matrix; B differs from node to node."""
+    """Draw A_k whose products grow no faster than powers of one matrix, and B_k that differ from node to node."""
     nx, nu, N = shape.nx, shape.nu, shape.N
     A = rng.normal(size=(nx, nx))
     A *= rng.uniform(0.3, RADIUS) / max(np.max(np.abs(np.linalg.eigvals(A))), 1e-3)
@@ -135,14 +135,14 @@ def _weights(rng: np.random.Generator, shape: Shape) -> tuple[Array, Array]:
 
 
 def _low_rank(rng: np.random.Generator, N: int, n: int, highest: int) -> Array:
-    """N matrices of ranks 0 .. highest."""
+    """Draw N matrices of ranks 0 .. highest."""
     F = rng.normal(size=(N, n, highest)) * (np.arange(highest) < rng.integers(0, highest + 1, (N, 1)))[:, None, :]
     found: Array = F @ F.transpose(0, 2, 1)
     return found
 
 
 def _with_condition(rng: np.random.Generator, N: int, n: int, condition: float) -> Array:
-    """N matrices with eigenvalues 1 .. 1 / condition."""
+    """Draw N matrices with eigenvalues 1 .. 1 / condition."""
     V, _ = np.linalg.qr(rng.normal(size=(N, n, n)))
     found: Array = (V * np.geomspace(1.0, 1.0 / condition, n)) @ V.transpose(0, 2, 1)
     return np.asarray((found + found.transpose(0, 2, 1)) / 2)
@@ -152,7 +152,7 @@ def _with_condition(rng: np.random.Generator, N: int, n: int, condition: float) 
 
 
 def _states(d: Draft) -> tuple[Array, Array]:
-    """What every control bound (N, nu) and every row is at the point."""
+    """Choose the state of every control bound (N, nu) and every row at the point."""
     s, rng, rows = d.shape, d.rng, d.rows
     n = s.N * s.nu
     state = np.zeros(n + len(rows), int)
@@ -172,7 +172,7 @@ def _states(d: Draft) -> tuple[Array, Array]:
 
 
 def _bounds(d: Draft, value: Array, state: Array, unit: Array, boxes: bool) -> tuple[Array, Array, Array]:
-    """Bounds and multipliers of rows with these values and states."""
+    """Return bounds and multipliers of rows with these values and states."""
     rng, shape = d.rng, value.shape
     sign = np.where(state == LOWER, -1.0, 1.0)
     sign = np.where(state == EQUAL, rng.choice([-1.0, 1.0], shape), sign)
@@ -187,7 +187,7 @@ def _bounds(d: Draft, value: Array, state: Array, unit: Array, boxes: bool) -> t
 
 
 def _around_point(d: Draft) -> StageQP:
-    """Gaps, gradients and bounds that make a random point the optimum."""
+    """Return gaps, gradients and bounds that make a random point the optimum."""
     s, rows = d.shape, d.rows
     nx, nz = s.nx, s.nx + s.nu
     x, u = np.broadcast_to(d.unit_x, nx), np.broadcast_to(d.unit_u, s.nu)
@@ -221,12 +221,12 @@ def _share(rng: np.random.Generator) -> float:
 
 
 def plain(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """One well-conditioned minimiser, gradients of the active rows independent."""
+    """Draw one well-conditioned minimiser with independent gradients of the active rows."""
     return _around_point(_draft(rng, shape, share=_share(rng)))
 
 
 def integer(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """Small integers: no rounding, many ties."""
+    """Draw small integers, which cause no rounding and many ties."""
     d = _draft(rng, shape, integers=True, share=_share(rng), independent=bool(rng.random() < 0.5), degenerate=0.2)
     nx, nu, N, nz = shape.nx, shape.nu, shape.N, shape.nx + shape.nu
     A = np.eye(nx)[rng.permutation(nx)] * rng.choice([-1.0, 0.0, 1.0], nx, p=[0.4, 0.2, 0.4])
@@ -241,7 +241,7 @@ def integer(rng: np.random.Generator, shape: Shape) -> StageQP:
 
 
 def _repeat(d: Draft) -> None:
-    """General rows that are multiples or sums of others, of the next state, of a control; or zero."""
+    """Replace general rows by multiples or sums of others, of the next state, of a control; or by zero."""
     rng, s, rows, nx = d.rng, d.shape, d.rows, d.shape.nx
     for m in np.flatnonzero(rows.kind == 1):
         k, choice = int(rows.node[m]), int(rng.integers(6))
@@ -259,14 +259,14 @@ def _repeat(d: Draft) -> None:
 
 
 def redundant(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """Active rows that depend on each other exactly."""
+    """Draw active rows that depend on each other exactly."""
     d = _draft(rng, shape, share=_share(rng), independent=False, equal=0.3)
     _repeat(d)
     return _around_point(_as_rows(d))
 
 
 def nearly_dependent(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """The same, the rows off by 1e-10 to 1e-3 of themselves."""
+    """Draw active rows that nearly depend on each other, up to 1e-10 to 1e-3 of themselves."""
     d = _draft(rng, shape, share=_share(rng), independent=False, equal=0.3)
     _repeat(d)
     d.C *= 1 + 10 ** rng.uniform(-10, -3) * rng.normal(size=d.C.shape)
@@ -274,7 +274,7 @@ def nearly_dependent(rng: np.random.Generator, shape: Shape) -> StageQP:
 
 
 def equalities_in_excess(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """All general rows are equations, more than there are controls."""
+    """Make all general rows equations, more than there are controls."""
     qp = _around_point(_draft(rng, shape, share=_share(rng), equal=0.3))
     p = qp.optimum
     assert p is not None
@@ -283,7 +283,7 @@ def equalities_in_excess(rng: np.random.Generator, shape: Shape) -> StageQP:
 
 
 def semidefinite(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """Weights of rank 0 to 2, boxes."""
+    """Draw weights of rank 0 to 2, and boxes."""
     d = _draft(rng, shape, share=_share(rng), boxes=True)
     d.Q = _low_rank(rng, shape.N, shape.nx + shape.nu, 2)
     d.Q_N = _low_rank(rng, 1, shape.nx, 2)[0]
@@ -291,7 +291,7 @@ def semidefinite(rng: np.random.Generator, shape: Shape) -> StageQP:
 
 
 def nearly_linear(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """A Hessian of 1e-12 to 1e-6 of the gradient, the minimiser near a vertex of the feasible set."""
+    """Draw a Hessian of 1e-12 to 1e-6 of the gradient, with the minimiser near a vertex of the feasible set."""
     d = _draft(rng, shape, share=1.0 if rng.random() < 0.7 else 0.6, boxes=True)
     scale = 10 ** rng.uniform(-12, -6)
     d.Q, d.Q_N = scale * d.Q, scale * d.Q_N
@@ -299,7 +299,7 @@ def nearly_linear(rng: np.random.Generator, shape: Shape) -> StageQP:
 
 
 def thin(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """Bounds 1e-9 to 1e-3 apart where they are active, and where they are not at times."""
+    """Draw bounds 1e-9 to 1e-3 apart where they are active, and sometimes where they are not."""
     qp = _around_point(_draft(rng, shape, share=_share(rng)))
     p = qp.optimum
     assert p is not None
@@ -317,7 +317,7 @@ def thin(rng: np.random.Generator, shape: Shape) -> StageQP:
 
 
 def ill_conditioned(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """Weights with eigenvalues from 1 down to 1e-4 .. 1e-10."""
+    """Draw weights with eigenvalues from 1 down to 1e-4 .. 1e-10."""
     d = _draft(rng, shape, share=_share(rng))
     condition = 10 ** rng.uniform(4, 10)
     d.Q = _with_condition(rng, shape.N, shape.nx + shape.nu, condition)
@@ -326,7 +326,7 @@ def ill_conditioned(rng: np.random.Generator, shape: Shape) -> StageQP:
 
 
 def badly_scaled(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """States, controls, rows and cost in units of 1e-6 to 1e6."""
+    """Draw states, controls, rows and cost in units of 1e-6 to 1e6."""
     d = _draft(rng, shape, share=_share(rng))
     x, u, cost = 10 ** rng.uniform(-6, 6, shape.nx), 10 ** rng.uniform(-6, 6, shape.nu), 10 ** rng.uniform(-6, 6)
     z, row = np.append(x, u), (10 ** rng.uniform(-6, 6, shape.user_rows))[d.rows.user]
@@ -338,13 +338,13 @@ def badly_scaled(rng: np.random.Generator, shape: Shape) -> StageQP:
 
 
 def degenerate(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """More active rows than controls, half of them without multiplier, others met by chance."""
+    """Draw more active rows than controls, half of them without multiplier, others met by chance."""
     d = _draft(rng, shape, share=float(rng.uniform(0.4, 0.9)), independent=False, equal=0.05, degenerate=0.5, idle=0.1)
     return _around_point(d)
 
 
 def uncontrolled(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """States that no control reaches, with bounds and rows that hold or are met; controls that reach no state."""
+    """Draw states that no control reaches, with rows and bounds that hold or are met, and controls without effect."""
     d = _draft(rng, shape, share=_share(rng), independent=False)
     nx, rows = shape.nx, d.rows
     lost = rng.random(nx) < 0.5
@@ -359,7 +359,7 @@ def uncontrolled(rng: np.random.Generator, shape: Shape) -> StageQP:
 
 
 def infeasible(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """A path row is asked for 1e-6 to 1e-3 more than controls, the next state and other rows of its node allow."""
+    """Require 1e-6 to 1e-3 more of a path row than controls, the next state and other rows of its node allow."""
     qp = _around_point(_draft(rng, shape, share=0.3, boxes=True))
     k = int(rng.integers(shape.N))
     rows = qp.rows
@@ -402,6 +402,6 @@ CLASSES: dict[str, Callable[[np.random.Generator, Shape], StageQP]] = {
 
 
 def multipliers_of_dynamics(qp: StageQP) -> Array:
-    """lam of the point that a feasible QP was built around."""
+    """Return lam of the point around which a feasible QP was built."""
     assert qp.optimum is not None
     return recover_lam(qp, qp.optimum)

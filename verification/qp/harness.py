@@ -1,4 +1,4 @@
-"""A QP component in a shared library of its own: only the template and its struct.
+"""A QP component is tested in a shared library with only its template and its struct.
 
 The header text comes from the component's own Struct, so no optimal control problem is needed.
 """
@@ -37,7 +37,7 @@ FAST = ("-O1", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
 SCALARS = {"double": np.float64, "single": np.float32}
 
 
-#: A part that is tested separately has all kinds of rows, and the fallback of the active-set method.
+#: Features for tests of single parts: all kinds of rows, and the fallback of the active-set method.
 FEATURES = Features(
     solve=True,
     state_rows=True,
@@ -49,7 +49,7 @@ FEATURES = Features(
 
 
 def dims_with(multiple: int = PANEL, **sizes: int) -> Dims:
-    """Dims with these sizes, for a component that uses no other ones."""
+    """Return Dims with these sizes, for a component that uses no other ones."""
 
     def found(cls: type) -> dict[str, Any]:
         names = (f.name for f in fields(cls) if f.type == "Size")
@@ -59,13 +59,13 @@ def dims_with(multiple: int = PANEL, **sizes: int) -> Dims:
 
 
 def qp_dims(nv: int, ng: int) -> Dims:
-    """Dims of a QP with nv variables and ng general rows."""
+    """Return the Dims of a QP with nv variables and ng general rows."""
     padded = -(-nv // PANEL) * PANEL
     return dims_with(nvu=nv, nv=nv, ng=ng, ld=padded, ldh=padded)
 
 
 def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSet | None = None) -> str:
-    """Self-contained C text of the component with exported entry points test_init, test_factorize, ..."""
+    """Return the C text of the component with exported entry points test_init, test_factorize, ..."""
     component = component or DenseActiveSet()
     dims = qp_dims(nv, ng)
     sizes = {
@@ -83,7 +83,7 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
 
 
 def unit_head(sizes: Mapping[str, int], precision: str) -> str:
-    """The text that a part needs before it besides its structs: includes, sizes, types, statuses, arithmetic."""
+    """Return the text that a part needs besides its structs: includes, sizes, types, statuses, arithmetic."""
     lines = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
     lines += [f"#define {name} {value}" for name, value in sizes.items()]
     lines += [print_macro(item, {}) for item in (*arithmetic(precision), REAL_CONSTANT)]
@@ -94,13 +94,13 @@ def unit_head(sizes: Mapping[str, int], precision: str) -> str:
 
 
 def struct_text(struct: Struct) -> str:
-    """The type definition of a struct."""
+    """Return the type definition of a struct."""
     kind = "union" if struct.union else "struct"
     return "\n".join([f"typedef {kind} {{", *(f"    {line}" for line in members(struct)), f"}} {struct.name}_t;"])
 
 
 def part_text(path: str, sizes: Mapping[str, int]) -> str:
-    """A part with its included parts and its conditions resolved."""
+    """Return a part with its included parts and its conditions resolved."""
     return read_part(path, sizes={**FEATURES.macros, **sizes})
 
 
@@ -111,15 +111,17 @@ def pruned(
     absent: Collection[tuple[str, str]] = (),
     ranges: Mapping[str, tuple[int, int]] = MappingProxyType({}),
 ) -> str:
-    """Parts with the functions that call them, without what the sizes exclude; ``absent``: members of no struct;
-    ``ranges``: least and greatest entries of tables."""
+    """Return parts with the functions that call them, without what the sizes exclude.
+
+    ``absent``: members of no struct; ``ranges``: least and greatest entries of tables.
+    """
     known = Constants({**FEATURES.macros, **sizes}, dict(ranges), absent=frozenset(absent))
     unit = run((*arithmetic(precision), REAL_CONSTANT, *items_of(text)), known)
     return "\n\n".join(item.text for item in unit if item.kind != "macro") + "\n"
 
 
 def members(struct: Struct) -> list[str]:
-    """C member declarations of a struct; zero sizes are padded to 1."""
+    """Return the C member declarations of a struct; zero sizes are padded to 1."""
     types = {"real": "real_t", "int32": "int32_t", "int64": "int64_t"}
     return [
         f"{types.get(f.ctype, f.ctype + '_t')} {f.name}{''.join(f'[{n}]' for n in f.padded)};" for f in struct.fields
@@ -170,7 +172,7 @@ int test_size(void)
 
 @functools.cache
 def build_directory() -> tempfile.TemporaryDirectory[str]:
-    """One temporary directory per session; removed at exit."""
+    """Return the temporary directory of this session, which is removed at exit."""
     return tempfile.TemporaryDirectory(prefix="qp_harness_")
 
 
@@ -182,7 +184,7 @@ def library(
     max_iterations: int | None = None,
     flags: tuple[str, ...] = FAST,
 ) -> ctypes.CDLL:
-    """Shared library of the component, built once per session and configuration, all warnings being errors."""
+    """Build the shared library of the component once per session and configuration; all warnings are errors."""
     stem = (
         Path(build_directory().name)
         / f"qp_{nv}_{ng}_{precision}_{max_iterations}_{'fast' if flags == FAST else 'plain'}"
@@ -199,7 +201,7 @@ def library(
 
 @functools.cache
 def memory_layout(nv: int, ng: int, precision: str) -> np.dtype[Any]:
-    """NumPy view of the C struct."""
+    """Return the NumPy type of the C struct."""
     types: dict[str, Any] = {"real": SCALARS[precision], "int32": np.int32, "int64": np.int64}
     for struct in DenseActiveSet().structs(qp_dims(nv, ng)):
         members = [(f.name, np.dtype(types[f.ctype]), f.padded) for f in struct.fields]
@@ -209,7 +211,7 @@ def memory_layout(nv: int, ng: int, precision: str) -> np.dtype[Any]:
 
 
 class QP:
-    """One instance of the C struct; ``self["z"]`` is the view on its member z."""
+    """A QP is one instance of the C struct; ``self["z"]`` is the view of its member z."""
 
     def __init__(
         self,
@@ -233,7 +235,7 @@ class QP:
         return np.asarray(self.memory[name])
 
     def load(self, H: Any, A: Any, lower: Any, upper: Any) -> None:
-        """Data of the preparation phase; only the lower triangle of H is written."""
+        """Write the data of the preparation phase; only the lower triangle of H is written."""
         inside = np.tril(np.ones((self.nv, self.nv), bool))
         self["H"][: self.nv, : self.nv][inside] = np.asarray(H)[inside]
         if self.ng:
@@ -252,14 +254,17 @@ class QP:
         return STATUSES[int(self.library.test_solve(self._pointer))]
 
     def run(self, H: Any, g: Any, A: Any, lower: Any, upper: Any, penalty: Any = np.inf) -> str:
-        """Run both phases; returns the status of the phase that failed, else that of qp_solve."""
+        """Run both phases; return the status of the phase that failed, or that of qp_solve."""
         self.load(H, A, lower, upper)
         self["penalty"][self.nv : self.nv + self.ng] = penalty
         status = self.factorize()
         return status if status != "OK" else self.solve(g)
 
     def shift(self, n: int, source: Any = None) -> None:
-        """``source``: per general row the row whose prediction it takes; default: the row itself."""
+        """Shift the predictions.
+
+        ``source``: for each general row, the row whose prediction it takes, by default itself.
+        """
         rows = np.arange(self.ng) if source is None else source
         self.library.test_shift(self._pointer, n, (ctypes.c_int * max(1, self.ng))(*rows))
 

@@ -1,4 +1,4 @@
-"""Whether a point is what OK promises: every hard row holds, and the Lagrangian is stationary.
+"""A point is judged by the promise of OK: every hard row holds, and the Lagrangian is stationary.
 
 Residuals are relative to the terms whose sum they are. A row sums c, C_i z_i and its bound, and what it sums of a state
 is what the dynamics sum up for it; the largest of a component over the horizon counts, because rounding travels along
@@ -24,19 +24,19 @@ LIMITS = {"double": 1e-8, "single": 1e-3}
 
 @dataclass(frozen=True)
 class Verdict:
-    """Relative residuals; infinite where a number is not finite. ``where``: the worst place."""
+    """A verdict has relative residuals, infinite where a number is not finite, and the index ``where`` of the worst."""
 
     violation: float
     stationarity: float
     where: str
 
     def wrong(self, limit: float) -> bool:
-        """Some residual is above the limit."""
+        """Return True if a residual is above the limit."""
         return not (self.violation <= limit and self.stationarity <= limit)
 
 
 def judge(qp: StageQP, point: Point, lam: Array, limit: float) -> Verdict:
-    """Residuals of a point; a bound counts as met within ``limit`` times the terms of its row."""
+    """Return the residuals of a point; a bound counts as met within ``limit`` times the terms of its row."""
     parts = (point.dx, point.du, point.mult, point.mult_u, lam)
     if not all(np.all(np.isfinite(a)) for a in parts):
         return Verdict(np.inf, np.inf, "not finite")
@@ -47,13 +47,13 @@ def judge(qp: StageQP, point: Point, lam: Array, limit: float) -> Verdict:
 
 
 def _ratio(a: Array, b: Array) -> Array:
-    """a / b, 0 where a is."""
+    """Return a / b, 0 where a is 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(a == 0.0, 0.0, a / b)
 
 
 def _component_sizes(qp: StageQP, p: Point) -> tuple[Array, Array]:
-    """Largest sum of terms of every state, and largest value of every control, over the horizon; at least a unit."""
+    """Return the largest sum of terms of every state, and the largest value of every control, at least a unit."""
     z = np.abs(stacked(p.dx, p.du)[:-1])
     terms = np.einsum("kij,kj->ki", np.abs(qp.S), z) + np.abs(qp.b)
     x = np.max(np.vstack([terms, np.abs(p.dx), np.abs(qp.dx0)[None], qp.unit_x[None]]), axis=0)
@@ -61,7 +61,7 @@ def _component_sizes(qp: StageQP, p: Point) -> tuple[Array, Array]:
 
 
 def _rows(qp: StageQP, p: Point, sizes: tuple[Array, Array]) -> tuple[Array, Array, Array, Array]:
-    """(value, size without the bound, lower, upper) of control bounds and rows."""
+    """Return (value, size without the bound, lower, upper) of control bounds and rows."""
     x, u = sizes
     value = np.concatenate([p.du.ravel(), row_values(qp, p.dx, p.du)])
     of_rows = np.abs(qp.c) + np.abs(qp.C) @ np.concatenate([x, u])
@@ -70,7 +70,7 @@ def _rows(qp: StageQP, p: Point, sizes: tuple[Array, Array]) -> tuple[Array, Arr
 
 
 def _violation(qp: StageQP, p: Point, sizes: tuple[Array, Array]) -> tuple[float, str]:
-    """The largest of rows, control bounds and gaps of the dynamics."""
+    """Return the largest violation of rows, control bounds and gaps of the dynamics."""
     value, size, lower, upper = _rows(qp, p, sizes)
     with np.errstate(invalid="ignore"):
         over = np.where(value > upper, _ratio(value - upper, size + np.abs(upper)), 0.0)
@@ -91,7 +91,7 @@ def _violation(qp: StageQP, p: Point, sizes: tuple[Array, Array]) -> tuple[float
 
 
 def _admissible(qp: StageQP, p: Point, sizes: tuple[Array, Array], limit: float) -> Point:
-    """The point with the multipliers that its rows may have."""
+    """Return the point with only those multipliers that its rows may have."""
     value, size, lower, upper = _rows(qp, p, sizes)
     with np.errstate(invalid="ignore"):
         at_upper = np.isfinite(upper) & (upper - value <= limit * (size + np.abs(upper)))
@@ -104,7 +104,7 @@ def _admissible(qp: StageQP, p: Point, sizes: tuple[Array, Array], limit: float)
 
 
 def _stationarity(qp: StageQP, stated: Point, p: Point, lam: Array) -> tuple[float, str]:
-    """Gradient with the multipliers of ``p`` over the terms of the stated ones."""
+    """Return the gradient with the multipliers of ``p`` over the terms of the stated ones."""
     nx, N = qp.shape.nx, qp.shape.N
     G, G_N = cost_gradient(qp, p)
     G = G + np.einsum("kji,kj->ki", qp.S, lam[1:])

@@ -1,9 +1,9 @@
-"""Packages whose data are a stage QP: every matrix of the QP is a parameter of a real controller, one value per node.
+"""A package can hold any stage QP: every matrix is a parameter of a real controller, with one value per node.
 
     x_{k+1} = S_k z_k + b_k,   cost sum_k 1/2 z_k'Q_k z_k + g_k'z_k,   rows lower <= c_k + C_k z_k <= upper,  z = (x, u)
 
 At the plan x = 0, u = 0 the linearisation of that problem is the problem itself, to the last bit. So the QP of a sample
-is known exactly, and its answer, the plan after the sample, is what an application gets: control, states, multipliers.
+is known exactly, and its answer is the plan that an application gets: control, states, multipliers.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from nmpc_codegen.package.struct_layout import Precision
 from verification.oracles.stage_qp import Array, Point, Shape, StageQP, rows_of
 from verification.routes import PURE, ROUTES
 
-#: Condensing and QP solver with their default options, by a name.
+#: Condensing and QP solver with their default options, by name.
 SOLVERS = {name: ROUTES[name] for name in ("dense", "riccati", "interior")}
 
 SCALARS: dict[Precision, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 
 
 def options(solver: str, precision: Precision) -> Options:
-    """The QP reaches the solver as it is: nothing is regularised, every node has bounds of its own."""
+    """Return options with which the solver receives the QP unchanged: no regularisation, own bounds at every node."""
     condensing, qp = SOLVERS[solver]
     return Options(
         hessian=ExactHessian(regularization=None), condensing=condensing, qp=qp, online=Online(bounds="node"),
@@ -42,7 +42,7 @@ def options(solver: str, precision: Precision) -> Options:
 
 
 def parameter_sizes(shape: Shape) -> dict[str, int]:
-    """Parameters of a node, in their order."""
+    """Return the sizes of the parameters of a node, in their order."""
     nx, nz = shape.nx, shape.nx + shape.nu
     return {
         "dynamics": nx * nz, "offset": nx, "hessian": nz * (nz + 1) // 2, "gradient": nz,
@@ -50,13 +50,13 @@ def parameter_sizes(shape: Shape) -> dict[str, int]:
     }  # fmt: skip
 
 
-#: Scales, and declared values of what costs: the data are drawn in all sizes, so that nothing of them counts as 0.
+#: Scales, and declared values of cost data. They are small, so that no drawn number counts as 0.
 SMALL = {"gradient": 1e-10, "hessian": 1e-10, "rows": 1.0, "end_rows": 1.0}
 SCALE = 1e-8
 
 
 def stage_ocp(shape: Shape) -> OCP:
-    """The problem of a shape; all controls are bounded, the first ``states`` states at the nodes 1 .. N."""
+    """State the problem of a shape; all controls are bounded, and the first ``states`` states at the nodes 1 .. N."""
     nx, nz = shape.nx, shape.nx + shape.nu
     ocp = OCP("stages", N=shape.N)
     x, u = ocp.state("x", size=nx, scale=SCALE), ocp.control("u", size=shape.nu, scale=SCALE)
@@ -79,7 +79,7 @@ def stage_ocp(shape: Shape) -> OCP:
 
 
 def rounded(qp: StageQP, precision: Precision) -> StageQP:
-    """The QP in the numbers that a solver of this precision gets, as doubles."""
+    """Return the QP in the numbers that a solver of this precision gets, as doubles."""
     kind = SCALARS[precision]
     data = ("S", "b", "Q", "Q_N", "g", "g_N", "C", "c", "lower", "upper", "lower_u", "upper_u", "dx0")
     with np.errstate(over="ignore"):
@@ -87,7 +87,7 @@ def rounded(qp: StageQP, precision: Precision) -> StageQP:
 
 
 def parameters(qp: StageQP) -> Array:
-    """Values of all parameters, (N + 1, np)."""
+    """Return the values of all parameters, (N + 1, np)."""
     shape, rows = qp.shape, qp.rows
     N, nx = shape.N, shape.nx
     nz = nx + shape.nu
@@ -121,7 +121,7 @@ def parameters(qp: StageQP) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Answer:
-    """What a sample left: its status, the plan, the multipliers of dynamics, QP iterations."""
+    """An answer is the result of a sample: its status, the plan, the multipliers of the dynamics, QP iterations."""
 
     status: Status
     point: Point
@@ -130,7 +130,7 @@ class Answer:
 
 
 def write(controller: Controller, qp: StageQP) -> None:
-    """The QP into a controller, and the plan at which it is the QP of the next sample."""
+    """Write the QP into a controller, and the plan at which it is the QP of the next sample."""
     shape, rows = qp.shape, rows_of(qp.shape)
     controller.view("p")[...] = parameters(qp)
     lower, upper = controller.view("lower"), controller.view("upper")
@@ -142,7 +142,7 @@ def write(controller: Controller, qp: StageQP) -> None:
 
 
 def answer(controller: Controller, qp: StageQP) -> Answer:
-    """One sample with this QP, from the working set of the sample before."""
+    """Run one sample with this QP, from the working set of the previous sample."""
     write(controller, qp)
     controller.step(qp.dx0)
     c = controller

@@ -1,4 +1,4 @@
-"""Stage QPs in the C of complete packages: the problem data are written to the solver struct and solved there.
+"""Stage QPs are solved in the C of complete packages, whose solver structs receive the problem data.
 
 A package is generated only for the dimensions of a Shape; its model is as short as dense patterns allow and is never
 evaluated. ``build_all`` compiles several packages side by side; a package is built once per session.
@@ -61,24 +61,27 @@ int call_solve(stage_solver_t *s) { return (int)condense_solve(s); }
 
 
 def solvers() -> dict[str, Options]:
-    """Options of every registered combination of condensing and generated QP solver that fits, by "condensing+qp"."""
+    """Return the options of every matching pair of condensing and generated QP solver, by "condensing+qp"."""
     ours = [q for q in qp.REGISTRY.values() if q is not qp.Osqp]
     pairs = itertools.product(condensing.REGISTRY.values(), ours)
     return {f"{c.name}+{q.name}": solver_options(c(), q()) for c, q in pairs if c.gives == q.takes}
 
 
 def holds(options: Options, shape: Shape) -> bool:
-    """False for stages and rows that couple x_N with free components of x_0, which the compiler refuses."""
+    """Return False for stages with rows that couple x_N with free components of x_0, which the compiler refuses."""
     return not (shape.coupled and shape.free) or options.condensing == condensing.FullCondensing()
 
 
 def solver_options(condense: Any, solver: Any) -> Options:
-    """Every node has its own bounds and weight."""
+    """Return options in which every node has its own bounds and weight."""
     return Options(condensing=condense, qp=solver, online=Online(weight="node", bounds="node"))
 
 
 def stage_ocp(shape: Shape) -> OCP:
-    """An OCP of that shape with dense S, Q_k of every node, Q_N and rows; a stable model, whose data are replaced."""
+    """State an OCP of that shape with dense S, Q_k of every node, Q_N and rows.
+
+    Its stable model's data are replaced.
+    """
     ocp = OCP("stage", N=shape.N)
     x, u = ocp.state("x", size=shape.nx), ocp.control("u", size=shape.nu)
     total = ca.sum1(x) + ca.sum1(u)
@@ -111,7 +114,7 @@ STATIONARITY, DYNAMICS, FEASIBILITY, ROWS, OBJECTIVE, MINIMISER = 1e-8, 1e-9, 1e
 
 
 def wrong_answer(qp: StageQP, p: Point) -> str:
-    """Faults of a point that should be the optimum, with their figures; empty if there is none.
+    """Return the faults of a point that should be the optimum, with their figures; empty if there is none.
 
     Residuals and objective are always checked; the minimiser to 1e-7 max(1, 1e-8 condition) if it is unique.
     """
@@ -132,7 +135,7 @@ def wrong_answer(qp: StageQP, p: Point) -> str:
 
 
 def wrong_certificate(qp: StageQP, weights: Array) -> str:
-    """Faults of weights of (du, rows): the same combination of their bounds must be negative for all du.
+    """Return the faults of weights of (du, rows): the same combination of their bounds must be negative for all du.
 
     weights' (du, A du) <= weights' bounds < -|weights' (I, A)| reach;  reach: bound of |du|, 1000 where there is none.
     """
@@ -151,20 +154,20 @@ def wrong_certificate(qp: StageQP, weights: Array) -> str:
 
 @functools.cache
 def build_directory() -> tempfile.TemporaryDirectory[str]:
-    """One temporary directory per session; removed at exit."""
+    """Return the temporary directory of this session, which is removed at exit."""
     return tempfile.TemporaryDirectory(prefix="stage_qp_")
 
 
 @dataclass(frozen=True, eq=False)
 class Built:
-    """A loaded package: its library, the NumPy type of its struct."""
+    """A built package has its library and the NumPy type of its struct."""
 
     library: ctypes.CDLL
     layout: np.dtype[Any]
 
 
 def _sources(shape: Shape, options: Options) -> tuple[Any, np.dtype[Any]]:
-    """Texts of a package and the layout of its struct."""
+    """Return the texts of a package and the layout of its struct."""
     ocp = stage_ocp(shape)
     module = module_of(ocp, options, "stage")
     assert module.value("NQ") == shape.N
@@ -179,7 +182,7 @@ def _compile(sources: Any, folder: Path) -> Path:
         (folder / name).write_text(sources[name], encoding="utf-8")
     (folder / "main.c").write_text(MAIN, encoding="utf-8")
     compiler = find_compiler()
-    # gcc leaves out all that is not called from main.c before it is compiled: most of a package.
+    # gcc drops functions that main.c does not call before it compiles them: most of a package.
     alone = ("-fwhole-program",) if "gcc" in compiler[0] else ()
     command = [
         *compiler,
@@ -200,14 +203,17 @@ def _compile(sources: Any, folder: Path) -> Path:
 
 @functools.cache
 def generated(shape: Shape, options: Options) -> tuple[Any, np.dtype[Any], Path]:
-    """Texts, layout and folder of the package of a shape. CasADi counts references to its objects without locks, so
-    call it in the thread that uses CasADi, before built() in another one."""
+    """Return texts, layout and folder of the package of a shape.
+
+    CasADi counts references to its objects without locks, so call it in the thread that uses CasADi, before built() in
+    another one.
+    """
     return *_sources(shape, options), Path(tempfile.mkdtemp(dir=build_directory().name))
 
 
 @functools.cache
 def built(shape: Shape, options: Options) -> Built:
-    """The package of a shape with these options (condensing and qp), compiled once."""
+    """Return the package of a shape with these options (condensing and qp), compiled once."""
     sources, layout, folder = generated(shape, options)
     library = ctypes.CDLL(str(_compile(sources, folder)))
     assert library.call_size() == layout.itemsize
@@ -224,7 +230,7 @@ def build_all(wanted: Iterable[tuple[Shape, Options]], workers: int | None = Non
 
 
 def write_qp(memory: Any, qp: StageQP) -> None:
-    """Write all data of a QP but its bounds and dx_0 to a solver struct whose rows are those of the QP."""
+    """Write all data of a QP except its bounds and dx_0 to a solver struct whose rows are those of the QP."""
     N, nx, rows = qp.shape.N, qp.shape.nx, qp.rows
     node, terminal, hessian = (memory[name] for name in ("node", "terminal", "hessian"))
     memory["x"], memory["u"] = qp.x, qp.u
@@ -245,7 +251,7 @@ def write_qp(memory: Any, qp: StageQP) -> None:
 
 
 class StageSolver:
-    """One solver struct; solve() writes a stage QP into it and runs both phases."""
+    """A stage solver is one solver struct; solve() writes a stage QP into it and runs both phases."""
 
     def __init__(self, shape: Shape, options: Options) -> None:
         self.shape, self.package = shape, built(shape, options)
@@ -258,16 +264,16 @@ class StageSolver:
         return ctypes.c_void_p(self.memory.ctypes.data)
 
     def reset(self) -> None:
-        """As after init: no working set is predicted."""
+        """Reset as after init: no working set is predicted."""
         self.package.library.call_init(self.pointer)
 
     def load(self, qp: StageQP) -> None:
-        """All data that the preparation phase reads, and the bounds."""
+        """Write all data that the preparation phase reads, and the bounds."""
         write_qp(self.memory, qp)
         self.load_bounds(qp)
 
     def load_bounds(self, qp: StageQP) -> None:
-        """Bounds of controls and rows at their nodes (those of coupled rows at node N), or none."""
+        """Write the bounds of controls and rows at their nodes (those of coupled rows at node N), if there are any."""
         n = self.shape.bounded
         if n + len(self.rows) == 0:
             return
@@ -276,7 +282,7 @@ class StageSolver:
             self.memory[name][self.rows.node, n + self.rows.user] = of_rows
 
     def solve(self, qp: StageQP) -> Status:
-        """Run both phases; returns the status of the phase that failed, else that of the second."""
+        """Run both phases; return the status of the phase that failed, or that of the second."""
         self.load(qp)
         prepared = Status(self.package.library.call_prepare(self.pointer))
         return prepared if prepared != Status.OK else self.feedback(qp)
@@ -291,14 +297,17 @@ class StageSolver:
 
     @property
     def point(self) -> Point:
-        """The step and the multipliers of the last feedback."""
+        """Return the step and the multipliers of the last feedback."""
         step, n = self.memory["step"], len(self.rows)
         mult = step["mult"][:n].copy() if n else np.zeros(0)  # no member of the struct without rows
         return Point(step["dx"].copy(), step["du"].copy(), step["mult_u"].copy(), mult)
 
     @property
     def certificate(self) -> Array | None:
-        """Weights of the bounds of du, then of the rows, that contradict one another; None: not given for these du."""
+        """Return weights of the bounds of du, then of the rows, that contradict one another.
+
+        None if there are none for du.
+        """
         weights = self.memory["qp"]["certificate"]
         n = self.shape.N * self.shape.nu
         if len(weights) != n + max(1, len(self.rows)):
@@ -306,7 +315,7 @@ class StageSolver:
         return np.array(weights[: n + len(self.rows)]) if np.any(weights) else None
 
     def verdict(self, qp: StageQP, status: Status) -> str:
-        """Faults of the last answer; empty if there is none. With a singular reduced Hessian the solver may fail."""
+        """Return the faults of the last answer, or "". With a singular reduced Hessian the solver may fail."""
         if status == Status.OK:
             return wrong_answer(qp, self.point) if qp.optimum is not None else "OK though infeasible"
         if qp.optimum is None and status == Status.INFEASIBLE:

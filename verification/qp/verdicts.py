@@ -1,7 +1,9 @@
-"""Random QPs of 13 classes through every QP solver of ours, in both precisions: OK that is not true, QPs given up.
+"""Random QPs of 13 classes go through every QP solver of ours, in both precisions.
 
-QPs from draw.py, packages from stage_package.py, residuals from judge.py. Two QPs of three are solved by a controller
-that knows nothing, the third from the working set of another QP of the same class.
+Wrong OKs and failures are counted.
+
+draw.py draws the QPs, stage_package.py makes the packages, judge.py computes the residuals. Two QPs of three are solved
+by a controller after reset, the third from the working set of another QP of the same class.
 """
 
 from __future__ import annotations
@@ -24,14 +26,14 @@ QPS = 20_000  # per solver and precision
 CHUNK = 60
 SHOWN = 3  # examples of a class, solver and precision
 UNSOLVED_LIMITS = {"double": 0.002, "single": 0.02}
-#: Classes of which nothing is asked in single precision but not to call a wrong answer OK.
+#: Classes that single precision need not solve, if no wrong answer is called OK.
 BEYOND_SINGLE = ("ill-conditioned", "nearly linear")
 Package = tuple[Shape, str, Precision]
 
 
 @dataclass
 class Tally:
-    """Answers of a solver in a precision to the QPs of a class; examples: (number, what)."""
+    """A tally counts the answers of a solver in a precision to the QPs of a class; examples: (number, fault)."""
 
     qps: int = 0
     feasible: int = 0
@@ -41,7 +43,7 @@ class Tally:
     examples: list[tuple[int, str]] = field(default_factory=list)
 
     def add(self, number: int, feasible: bool, status: Status, verdict: Verdict | None) -> None:
-        """One answer; ``verdict``: what is wrong with it though it is called OK."""
+        """Count one answer; ``verdict``: its fault if it is wrong although it is called OK."""
         self.qps += 1
         self.feasible += feasible
         self.status[status.name] += 1
@@ -55,7 +57,7 @@ class Tally:
             self.examples.append((number, status.name))
 
     def merge(self, other: Tally) -> None:
-        """Add another one."""
+        """Add another tally."""
         self.qps += other.qps
         self.feasible += other.feasible
         self.status += other.status
@@ -70,7 +72,7 @@ _controllers: dict[Package, Controller] = {}
 
 
 def controllers(shapes: Iterable[Shape] = SHAPES) -> dict[Package, Controller]:
-    """All packages, compiled side by side."""
+    """Return all packages, compiled side by side."""
     wanted = [(shape, solver, precision) for shape in shapes for solver in SOLVERS for precision in SCALARS]
 
     ocps = ((stage_ocp(shape), options(solver, precision)) for shape, solver, precision in wanted)
@@ -78,7 +80,7 @@ def controllers(shapes: Iterable[Shape] = SHAPES) -> dict[Package, Controller]:
 
 
 def solve(controller: Controller, qp: StageQP, precision: Precision) -> Answer:
-    """The answer to a QP by a controller that knows nothing, or by one that has just solved another."""
+    """Return the answer to a QP by a controller after reset, or by one that has just solved another QP."""
     controller.reset()
     if qp.seed % 3 == 2:
         answer(controller, rounded(draw(qp.kind, qp.seed + len(shapes_of(qp.kind))), precision))
@@ -86,7 +88,7 @@ def solve(controller: Controller, qp: StageQP, precision: Precision) -> Answer:
 
 
 def verdict_of(qp: StageQP, found: Answer, precision: Precision) -> Verdict | None:
-    """What is wrong with an answer that is called OK; None: nothing, or it is not called so."""
+    """Return the verdict on a wrong answer that is called OK; None otherwise."""
     if found.status != Status.OK:
         return None
     verdict = judge(rounded(qp, precision), found.point, found.lam, LIMITS[precision])
@@ -94,7 +96,7 @@ def verdict_of(qp: StageQP, found: Answer, precision: Precision) -> Verdict | No
 
 
 def run(kind: str, numbers: Iterable[int], packages: dict[Package, Controller]) -> Tallies:
-    """QPs of a class by all solvers."""
+    """Solve QPs of a class by all solvers."""
     tallies: Tallies = {(kind, solver, precision): Tally() for solver in SOLVERS for precision in SCALARS}
     for number in numbers:
         qp = draw(kind, number)

@@ -1,4 +1,4 @@
-"""Loops that come to rest, where a controller spends its life: every sample must be OK, with one QP.
+"""Controllers spend most of their life at rest: in these loops every sample must be OK, with one QP.
 
 A plant at rest has states, controls and rows whose values are 0 up to rounding. The draws vary how it rests: at a set
 point, at a bound, at a bound of 0, on a row whose bound is 0, in a soft band, with a penalty of rates; with exact,
@@ -40,7 +40,7 @@ NOISES = (0.0, 1e-16, 1e-12, 1e-3)
 QUANTA = (0.0, 0.0, 1e-3)
 #: Differences of controls from those of another route in double precision, in their scales, by precision.
 SAME = {"double": 1e-4, "single": 2e-2}
-#: Iterations of solve() from a plan at rest, at most.
+#: Most iterations of solve() from a plan at rest.
 MOST_ITERATIONS = 12
 #: Iterations of the interior point method where its warm start fails: those of both starts.
 COLD = 50
@@ -53,8 +53,10 @@ UNITS, IN_LOOP = 5, 40
 
 @dataclass(frozen=True)
 class Plant:
-    """A problem, the range of its starts (nx,) and the spread of its states, which scales noise; ``moves``: values of
-    the reference of the first residual that are set at run time."""
+    """A plant is a problem, the range of its starts (nx,) and the spread of its states, which scales noise.
+
+    ``moves``: values of the reference of the first residual that are set at run time.
+    """
 
     name: str
     make: Callable[[], OCP]
@@ -64,7 +66,7 @@ class Plant:
 
 
 def mass() -> OCP:
-    """At a set point, which may be 0."""
+    """State a mass at a set point, which may be 0."""
     ocp = OCP("mass", T=2.0, N=10)
     p, v, a = ocp.state("p"), ocp.state("v"), ocp.control("a")
     ocp.dynamics({p: v, v: a})
@@ -75,7 +77,7 @@ def mass() -> OCP:
 
 
 def standstill() -> OCP:
-    """A car beyond its stop line that must not reverse: a state at its bound 0."""
+    """State a car beyond its stop line that must not reverse: a state is at its bound 0."""
     ocp = OCP("standstill", T=2.0, N=10)
     s, v, a = ocp.state("s"), ocp.state("v"), ocp.control("a")
     ocp.dynamics({s: v, v: a})
@@ -86,7 +88,7 @@ def standstill() -> OCP:
 
 
 def pushed() -> OCP:
-    """A control at its bound, with a penalty of its rate."""
+    """State a control at its bound, with a penalty of its rate."""
     ocp = OCP("pushed", N=10)
     T, last, u = ocp.state("T"), ocp.state("last"), ocp.control("u")
     ocp.dynamics({T: 0.8 * T + 0.2 * u, last: u}, discrete=True)
@@ -96,7 +98,7 @@ def pushed() -> OCP:
 
 
 def fan() -> OCP:
-    """A fan that had better stay off below its soft band."""
+    """State a fan that had better stay off below its soft band."""
     ocp = OCP("fan", T=10.0, N=10)
     x, y, d = ocp.state("x", initial=18.0), ocp.state("y"), ocp.control("dy")
     ocp.dynamics({x: 0.205 + 0.029 * y - 0.003 * x * y - 0.001 * x**2, y: d})
@@ -108,7 +110,7 @@ def fan() -> OCP:
 
 
 def on_row() -> OCP:
-    """On a row p (p - 1) >= 0, whose bound is 0: its target is inside of what the row excludes."""
+    """State a mass on a row p (p - 1) >= 0, whose bound is 0; its target violates the row."""
     ocp = OCP("on_row", T=2.0, N=10)
     p, u = ocp.state("p"), ocp.control("u")
     ocp.dynamics({p: u})
@@ -119,7 +121,7 @@ def on_row() -> OCP:
 
 
 def circle() -> OCP:
-    """At a set point, under a circle of controls stated with a bound of 0."""
+    """State a mass at a set point, under a circle of controls with a bound of 0."""
     ocp = OCP("circle", T=2.0, N=10)
     p, v, a = ocp.state("p", size=2), ocp.state("v", size=2), ocp.control("a", size=2)
     ocp.dynamics({p: v, v: a})
@@ -130,7 +132,7 @@ def circle() -> OCP:
 
 
 def closed_valve() -> OCP:
-    """A tank that is too full: its valve stays closed, a state and its rate at 0."""
+    """State a tank that is too full: its valve stays closed, with a state and its rate at 0."""
     ocp = OCP("closed_valve", T=10.0, N=10)
     L, q, d = ocp.state("L"), ocp.state("q"), ocp.control("dq")
     ocp.dynamics({L: 0.1 * q, q: d})
@@ -142,7 +144,7 @@ def closed_valve() -> OCP:
 
 
 def empty_store() -> OCP:
-    """A store that is asked for more than it has: it rests empty."""
+    """State a store with more demand than content, which rests empty."""
     ocp = OCP("empty_store", T=5.0, N=10)
     e, u = ocp.state("e"), ocp.control("u")
     ocp.dynamics({e: u})
@@ -153,7 +155,7 @@ def empty_store() -> OCP:
 
 
 def two_at_once() -> OCP:
-    """Two stores, one empty and one full, with a soft limit of what they exchange."""
+    """State two stores, one empty and one full, with a soft limit on their exchange."""
     ocp = OCP("two_at_once", T=5.0, N=10)
     e, f, u, w = ocp.state("e"), ocp.state("f"), ocp.control("u"), ocp.control("w")
     ocp.dynamics({e: u, f: w - 0.1 * u})
@@ -176,17 +178,17 @@ def _upright(name: str, T: float, N: int, pull: float, most: float) -> OCP:
 
 
 def pendulum() -> OCP:
-    """Upright, nonlinear."""
+    """State an upright nonlinear pendulum."""
     return _upright("pendulum", 1.0, 20, 9.81, 8)
 
 
 def stick() -> OCP:
-    """Upright, with an open loop that grows by e^21 over the horizon."""
+    """State an upright stick with an open loop that grows by e^21 over the horizon."""
     return _upright("stick", 3.0, 40, 49, 20)
 
 
 def drone() -> OCP:
-    """A planar drone at a set point; thrusts have a reference, lateral motion is exactly 0."""
+    """State a planar drone at a set point; thrusts have a reference, and the lateral motion is exactly 0."""
     ocp = OCP("drone", T=1.5, N=15)
     x, z, th = ocp.state("x"), ocp.state("z"), ocp.state("th")
     vx, vz, om = ocp.state("vx"), ocp.state("vz"), ocp.state("om")
@@ -200,7 +202,7 @@ def drone() -> OCP:
 
 
 def reactor() -> OCP:
-    """A cooled reactor at its temperature, in kelvin, with an Arrhenius term."""
+    """State a cooled reactor at its temperature, in kelvin, with an Arrhenius term."""
     ocp = OCP("reactor", T=2.0, N=20)
     c, T, u = ocp.state("c", initial=0.5), ocp.state("T", initial=350.0), ocp.control("u")
     k = 7.2e10 * ca.exp(-8750 / T)
@@ -211,7 +213,7 @@ def reactor() -> OCP:
 
 
 def economic() -> OCP:
-    """A general cost with an inner optimum."""
+    """State a general cost with an inner optimum."""
     ocp = OCP("economic", T=4.0, N=10)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -x + u})
@@ -244,7 +246,7 @@ PLANTS = {
 
 @dataclass(frozen=True)
 class Package:
-    """A plant on a route."""
+    """A package is a plant on a route."""
 
     plant: Plant
     label: str
@@ -254,7 +256,7 @@ class Package:
         return f"{self.plant.name} {self.label}"
 
 
-#: As a microcontroller gets it, and the algorithms without a QP.
+#: Options of packages for microcontrollers, and the algorithms without a QP.
 FIRMWARE: dict[str, Any] = {"goal": "size", "solve": False, "algorithm": RealTimeIteration(iterations=1)}
 OTHERS = {
     "augmented Lagrangian": Options(algorithm=AugmentedLagrangian()),
@@ -266,7 +268,7 @@ WITH_ROWS = ("stick", "on_row", "standstill", "two_at_once", "closed_valve", "fa
 
 @functools.cache
 def packages() -> tuple[Package, ...]:
-    """The default of every plant in both precisions, and one other route each, in turn."""
+    """Return the default of every plant in both precisions, and one other route each, in turn."""
     turns = ("dense", "interior")
     found = []
     for number, plant in enumerate(PLANTS.values()):
@@ -287,14 +289,14 @@ def packages() -> tuple[Package, ...]:
 
 @dataclass
 class Outcome:
-    """Samples of a plant at rest, and what is wrong with them, by kind, with the first example."""
+    """An outcome has the samples of a plant at rest, and their faults by kind, with the first example."""
 
     samples: int = 0
     wrong: Counter[str] = field(default_factory=Counter)
     example: str = ""
 
     def note(self, what: str, where: str) -> None:
-        """Something is wrong."""
+        """Count a fault."""
         self.wrong[what] += 1
         self.example = self.example or f"{what}: {where}"
 
@@ -309,7 +311,7 @@ def _built(number: int) -> Controller:
 
 
 def run(seed: int) -> tuple[Package, Outcome]:
-    """The draw with this seed: a package, a start, a set point, noise, a quantum."""
+    """Run the draw with this seed: a package, a start, a set point, noise, a quantum."""
     random, number = np.random.default_rng([7, seed]), 7 * seed % len(packages())
     package, c = packages()[number], _built(number)
     plant, out = package.plant, Outcome()
@@ -343,8 +345,10 @@ def run(seed: int) -> tuple[Package, Outcome]:
 
 
 def _reference(plant: Plant, c: Controller, number: int) -> Controller | None:
-    """A controller of the same plant on stages in double precision, with the same references; None for algorithms that
-    converge over the samples."""
+    """Return a controller of the same plant on stages in double precision, with the same references.
+
+    Returns None for algorithms that converge over the samples.
+    """
     if packages()[number].label in OTHERS:
         return None
     (where,) = (i for i, p in enumerate(packages()) if p.plant is plant and p.label == "reference")
@@ -363,7 +367,7 @@ def _compare(c: Controller, other: Controller, out: Outcome, where: str) -> None
 
 
 def _displace(c: Controller, x: Array, spread: Array, out: Outcome, where: str) -> None:
-    """Two samples of a fresh controller after a displacement along one axis."""
+    """Run two samples of a fresh controller after a displacement along one axis."""
     for i in range(x.size):
         for share in SHARES:
             twin, away = c.copy(), x.copy()
@@ -395,7 +399,7 @@ def _judge(c: Controller, out: Outcome, where: str) -> None:
 
 
 def _solve(c: Controller, x: Array, random: np.random.Generator, out: Outcome, where: str) -> None:
-    """From the plan, and from one whose zeros are rounding errors of another magnitude."""
+    """Solve from the plan, and from one whose zeros are rounding errors of another magnitude."""
     magnitude = 10.0 ** -random.uniform(16, 80 if c.x.dtype == np.float64 else 30)
     for what in ("as it is", f"zeros of {magnitude:.0e}"):
         for plan in (c.x, c.u) if what != "as it is" else ():
@@ -425,7 +429,7 @@ IN_UNITS = (
 
 
 def differences(name: str, seed: int) -> list[str]:
-    """What differs in a loop, and in solve(), between a problem and the same one in random units."""
+    """Return the differences in a loop, and in solve(), between a problem and the same one in random units."""
     plant, found = PLANTS[name], []
     ocp = plant.make()
     units = Units.of(ocp, seed)

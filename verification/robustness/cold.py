@@ -1,4 +1,4 @@
-"""Closed loops of the augmented Lagrangian from plans that know nothing, against loops with converged plans.
+"""Closed loops of the augmented Lagrangian start from initial plans, and are compared with loops of converged plans.
 
 A loop has converged if it costs at most a hundredth more than that of a controller that solves its problem in every
 sample, and if the gaps of its last plan are small in the scales of the states. Samples that are OK although a gap of
@@ -38,7 +38,7 @@ ORBIT, PERIOD = 3.0548, 20
 
 
 def van_der_pol() -> OCP:
-    """An oscillator whose control is too weak to hold it everywhere."""
+    """State an oscillator whose control is too weak to hold it everywhere."""
     ocp = OCP("van_der_pol", T=2.0, N=15)
     x, v, u = ocp.state("x", initial=1.0), ocp.state("v", initial=0.5), ocp.control("u")
     ocp.dynamics({x: v, v: (1 - x**2) * v - x + u})
@@ -50,7 +50,7 @@ def van_der_pol() -> OCP:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A problem with the box home +- spread of its first states; ``steps`` of RK4 per interval."""
+    """A case is a problem with the box home +- spread of its first states; ``steps`` of RK4 per interval."""
 
     name: str
     make: Callable[[], OCP]
@@ -60,19 +60,19 @@ class Case:
     algorithm: Mapping[str, Any] = field(default_factory=dict)
 
     def options(self, precision: Any = "double") -> Options:
-        """The augmented Lagrangian."""
+        """Return options with the augmented Lagrangian."""
         scheme = ExplicitRungeKutta(RK4, steps=self.steps)
         return Options(scheme, algorithm=AugmentedLagrangian(**self.algorithm), precision=precision)
 
     def starts(self) -> list[Array]:
-        """First states."""
+        """Return the first states."""
         random = np.random.default_rng(7)
         return [self.home + self.spread * random.uniform(-1, 1, self.home.size) for _ in range(STARTS)]
 
 
 @dataclass
 class Outcome:
-    """What a loop costs, the largest gap of its last plan, samples that are not OK, and those OK with a large gap."""
+    """A loop has a cost, the largest gap of its last plan, samples not OK, and samples OK with a large gap."""
 
     cost: float = 0.0
     gap: float = 0.0
@@ -81,7 +81,7 @@ class Outcome:
 
 
 def cases() -> tuple[Case, ...]:
-    """Examples and van der Pol's oscillator, with one and with three iterations per sample."""
+    """Return examples and van der Pol's oscillator, with one and with three iterations per sample."""
     hovering = np.array([0.5] * 3 + [0.0] * 9)
     box, far = np.array([0.4, 0.2, 0.1, 0.1]), np.array([0.1, 0.1, 2.0, 2.0])
     fermenter, start = lambda: bioreactor.build_ocp(soft=True), bioreactor.START
@@ -97,7 +97,7 @@ def cases() -> tuple[Case, ...]:
 
 
 class Bench:
-    """One interval of a case, as the plant, and the gaps of a plan."""
+    """A bench has one interval of a case as the plant, and computes the gaps of a plan."""
 
     def __init__(self, case: Case) -> None:
         problem: Problem = classify(case.make())
@@ -111,12 +111,12 @@ class Bench:
         self._ends = ca.Function("ends", [x, u], [end]).map(problem.N)
 
     def gaps(self, plan: Controller) -> Array:
-        """Largest |Phi(x_k, u_k) - x_{k+1}| of every state."""
+        """Return the largest |Phi(x_k, u_k) - x_{k+1}| of every state."""
         X, U = np.asarray(plan.x, dtype=float), np.asarray(plan.u, dtype=float)
         return np.asarray(np.max(np.abs(np.asarray(self._ends(X[:-1].T, U.T)).T - X[1:]), axis=0))
 
     def run(self, plan: Controller, start: Array, step: Callable[[Array], Array]) -> Outcome:
-        """A loop from a state."""
+        """Run a loop from a state."""
         x, out = start.copy(), Outcome()
         x[self.accumulators] = 0.0
         size = np.abs(x)
@@ -137,7 +137,7 @@ class Bench:
 
 
 def converged_cost(bench: Bench, starts: list[Array]) -> list[float]:
-    """What loops cost whose plan is solved in every sample; of the bioreactor the optimal orbit."""
+    """Return the cost of loops whose plan is solved in every sample; for the bioreactor that of the optimal orbit."""
     case = bench.case
     if case.name == "bioreactor":
         return [-ORBIT * SAMPLES / PERIOD] * len(starts)
@@ -151,7 +151,7 @@ def converged_cost(bench: Bench, starts: list[Array]) -> list[float]:
 
 
 def judge(case: Case, count: int = STARTS, precision: Any = "double") -> tuple[list[bool], list[Outcome]]:
-    """Whether each of the first loops of a case has converged, and what they came to."""
+    """Return whether each of the first loops of a case has converged, and their outcomes."""
     bench, starts = Bench(case), case.starts()[:count]
     plan = build(case.make(), case.options(precision))
     loops = []

@@ -1,4 +1,4 @@
-"""One bad datum, then good ones: whether a controller finds back to what one would do that never saw it.
+"""One bad datum is followed by good ones; the controller must return to the control of one that never saw it.
 
 A controller that has converged for a measured state gets one sample with a bad datum: a state, a reference, a weight, a
 parameter, bounds, or numbers written over its plan. From then on everything is as before. It is locked up if it is not
@@ -31,7 +31,8 @@ EPISODES = 10_000
 STATES = 4  # good measured states of a controller
 SETTLING = 150  # samples in which a controller that is left in peace converges
 PATIENCE, LATER, AGREED = 20, 100, 6
-#: What the last samples of a converged controller may differ by, and a recovered one from it; relative to the range.
+#: Largest differences of the last samples of a converged controller, and of a recovered one from it; relative to the
+#: range.
 CONVERGED = {"double": 1e-8, "single": 1e-3}
 EQUAL = {"double": 1e-6, "single": 1e-2}
 #: The same for a control that IPOPT confirms; a plan that is shifted while the state is held is off by a little.
@@ -42,7 +43,7 @@ STATIONARY = 1e-9
 
 @dataclass
 class Peace:
-    """A controller after SETTLING samples at one measured state: its memory, its control; whether that stands."""
+    """A controller has run SETTLING samples at one measured state: its memory and control, and if it has settled."""
 
     xhat: Array
     memory: Array
@@ -53,7 +54,7 @@ class Peace:
 
 @dataclass
 class Outcome:
-    """Episodes of a controller; recovery: samples until OK, by what was spoilt."""
+    """An outcome counts the episodes of a controller; recovery: samples until OK, by the datum that was spoilt."""
 
     episodes: int = 0
     compared: int = 0
@@ -70,14 +71,14 @@ class Outcome:
 
 @cache
 def oracle_of(number: int) -> Reference:
-    """The nonlinear program of a candidate."""
+    """Return the nonlinear program of a candidate."""
     subject = candidates()[number].subject
     steps = (subject.integrator or ExplicitRungeKutta()).steps
     return Reference(classify(subject.make()), replace(CLASSICAL, steps=steps))
 
 
 class Loop:
-    """A controller in operation."""
+    """A loop is a controller in operation."""
 
     def __init__(self, controller: Controller, rest: Array, spread: Array, seed: int) -> None:
         self.c = controller
@@ -91,7 +92,7 @@ class Loop:
         self.peaceful = [self._settle(rest + spread * where) for where in away]
 
     def unit(self, u: Array) -> Array:
-        """Range of every control, or its size where it has none."""
+        """Return the range of every control, or its size where it has none."""
         return np.asarray(np.where(np.isfinite(self.range), self.range, np.maximum(1.0, np.abs(u))))
 
     def _settle(self, xhat: Array) -> Peace:
@@ -106,7 +107,7 @@ class Loop:
         return Peace(xhat, c._memory.copy(), u, ok, ok and bool(spread <= CONVERGED[self.precision]))
 
     def spoil(self, kind: str, xhat: Array) -> None:
-        """The one bad sample."""
+        """Run the one bad sample."""
         c = self.c
         if kind == "state":
             c.step(spoiled(self.rng, xhat))
@@ -121,7 +122,7 @@ class Loop:
             self.data.restore()
 
     def _other_solution(self, peace: Peace) -> str:
-        """Costs at the solution at which the controller stands, and at that of the peaceful one; empty: it is none."""
+        """Return the costs at the controller's solution and at the peaceful one; empty if it is at none."""
         for _ in range(SETTLING):
             self.c.step(peace.xhat)
         oracle = oracle_of(self.seed)
@@ -138,14 +139,14 @@ class Loop:
         return f"cost {costs[0]:.6g}; {costs[1]:.6g} in peace"
 
     def episode(self, out: Outcome, number: int) -> None:
-        """One bad datum."""
+        """Run one episode with a bad datum."""
         peace = self.peaceful[number % STATES]
         kinds = ["state", "plan", *self.data.kinds()]
         kind = kinds[number // STATES % len(kinds)]
         self.c._memory[:] = peace.memory
         self.rng = np.random.default_rng([41, self.seed, number])
         self.spoil(kind, peace.xhat)
-        if peace.ok:  # else nobody is OK there
+        if peace.ok:  # else no controller is OK there
             self._watch(out, kind, peace, number)
 
     def _watch(self, out: Outcome, kind: str, peace: Peace, number: int) -> None:
@@ -174,13 +175,13 @@ class Loop:
 
 
 def point(controller: Controller) -> Point:
-    """Primal and dual variables of its plan."""
+    """Return the primal and dual variables of the controller's plan."""
     names = Point.__dataclass_fields__
     return Point(**{name: np.array(getattr(controller, name), dtype=float) for name in names})
 
 
 def run(job: tuple[Controller, Array, Array, int, int]) -> Outcome:
-    """So many episodes of a controller: (it, home of its loop, spread of good states, seed, count)."""
+    """Run episodes of a controller: job = (controller, home of its loop, spread of good states, seed, count)."""
     controller, rest, spread, seed, count = job
     out = Outcome()
     with np.errstate(all="ignore"):

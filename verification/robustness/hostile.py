@@ -1,4 +1,4 @@
-"""Numbers that nobody expects, and the data of a controller into which they are put."""
+"""Hostile numbers are put into the data of a controller."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from nmpc_codegen.runtime.diagnosis.plan_rows import path_bounds
 
 Array = np.ndarray
 
-#: Sizes of what is finite; those beyond single precision become infinite there.
+#: Sizes of finite numbers; those beyond single precision become infinite there.
 SIZES = (0.0, 5e-324, 1e-300, 1e-40, 1e-8, 1.0, 30.0, 1e3, 1e6, 1e8, 1e12, 1e20, 1e38, 1e150, 1e300)
 
 
 def number(rng: np.random.Generator) -> float:
-    """NaN or infinite at times, else of any size."""
+    """Return NaN or an infinite number sometimes, else a number of any size."""
     if rng.random() < 0.2:
         return float(rng.choice([np.nan, np.inf, -np.inf]))
     return float(rng.choice([-1.0, 1.0]) * rng.choice(SIZES) * rng.uniform(0.5, 2.0))
 
 
 def spoiled(rng: np.random.Generator, values: Array) -> Array:
-    """A copy with one entry, some or all of them replaced."""
+    """Return a copy with one entry, some or all of them replaced."""
     spoilt = values.copy()
     share = rng.choice([0.0, 0.3, 1.0])
     chosen = rng.random(values.shape) < share
@@ -36,7 +36,7 @@ def spoiled(rng: np.random.Generator, values: Array) -> Array:
 
 
 class Data:
-    """The run-time data of a controller, set by the C functions themselves, which may refuse them."""
+    """C functions set the run-time data of a controller, and may refuse them."""
 
     def __init__(self, controller: Controller) -> None:
         self.c = controller
@@ -67,7 +67,7 @@ class Data:
         return found
 
     def kinds(self) -> list[str]:
-        """What this controller has."""
+        """Return the kinds of data that this controller has."""
         found = [kind for kind, values in self.good.items() if values.size]
         found += ["parameter"] if self.parameters else []
         return found + (["bounds"] if self.bounds else [])
@@ -82,7 +82,7 @@ class Data:
         return self._call(f"set_{kind}", -1, pointer)
 
     def spoil(self, rng: np.random.Generator, kind: str) -> Status:
-        """Something hostile in place of one datum."""
+        """Replace one datum by hostile numbers."""
         if kind == "parameter":
             i = int(rng.integers(len(self.parameters)))
             return self._call("set_parameter", i, -1, self.c._pointer(spoiled(rng, self.parameters[i])))
@@ -95,7 +95,7 @@ class Data:
         return self._call("set_bounds", row, -1, low, high)
 
     def restore(self) -> None:
-        """All good again."""
+        """Restore all good data."""
         for kind, values in self.good.items():
             if values.size:
                 assert self._send(kind, values) == Status.OK
@@ -105,7 +105,7 @@ class Data:
             assert self._call("set_bounds", row, -1, low, high) == Status.OK
 
     def spoil_plan(self, rng: np.random.Generator) -> None:
-        """Hostile numbers over states, controls or multipliers of the plan."""
+        """Write hostile numbers over states, controls or multipliers of the plan."""
         names = [n for n in ("x", "u", "lam", "mu_u", "mult") if self.c.member(n).size]
         for name in rng.permutation(names)[: rng.integers(1, 3)]:
             view = self.c.view(str(name))

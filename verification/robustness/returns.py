@@ -1,8 +1,8 @@
-"""The contract of a return under hostile data: u0 is finite and inside its bounds, the status is one that exists.
+"""Returns under hostile data keep their contract: u0 is finite and inside its bounds, and the status exists.
 
 The entry points of the compiled packages are called one after the other with measured states, references, weights,
-parameters, bounds and plans that hold NaN, infinities and numbers of every size; u0 is NaN before every call. What the
-setters refuse stays as it was. Bounds are compared as the controller stores them.
+parameters, bounds and plans that hold NaN, infinities and numbers of every size; u0 is NaN before every call. Data that
+the setters refuse stay as they were. Bounds are compared as the controller stores them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ KNOWN = np.array([int(status) for status in Status])
 
 @dataclass
 class Outcome:
-    """Returns of a controller, and what was wrong with them."""
+    """An outcome counts the returns of a controller and their faults."""
 
     returns: int = 0
     status: Counter[int] = field(default_factory=Counter)
@@ -32,7 +32,7 @@ class Outcome:
     first: dict[str, str] = field(default_factory=dict)
 
     def judge(self, u: Array, status: Array, lower: Array, upper: Array) -> None:
-        """Controls (samples, nu) and statuses (samples,) of a segment with its bounds (nu,)."""
+        """Judge controls (samples, nu) and statuses (samples,) of a segment with its bounds (nu,)."""
         self.returns += len(status)
         self.status.update(status.tolist())
         finite = np.isfinite(u).all(axis=1)
@@ -49,7 +49,7 @@ class Outcome:
 
 
 class Assault:
-    """Calls of one controller."""
+    """An assault calls one controller with hostile data."""
 
     def __init__(self, controller: Controller, rest: Array, spread: Array, seed: int) -> None:
         self.c, self.rest, self.spread = controller, rest, spread
@@ -62,7 +62,7 @@ class Assault:
         self.rows = [rows.index(name) if name in rows else None for name in controller.names.controls]
 
     def change_data(self) -> None:
-        """Something of what the next samples run on."""
+        """Change some of the data of the next samples."""
         rng, kinds = self.rng, self.data.kinds()
         if rng.random() < 0.5:
             self.data.restore()
@@ -74,19 +74,19 @@ class Assault:
             self.c.reset()
 
     def bounds(self) -> tuple[Array, Array]:
-        """Of the controls, as they are stored now."""
+        """Return the bounds of the controls, as they are stored now."""
         pairs = [(-np.inf, np.inf) if row is None else path_bounds(self.c, row) for row in self.rows]
         return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
 
     def states(self, count: int) -> Array:
-        """Measured states, half of them good."""
+        """Return measured states, half of them good."""
         x = self.rest + self.spread * self.rng.uniform(-1, 1, (count, self.rest.size))
         for i in np.flatnonzero(self.rng.random(count) < 0.5):
             x[i] = spoiled(self.rng, x[i])
         return x
 
     def sample(self, way: float) -> int:
-        """One return; one in ten by the phases, one in fifty without preparation or after a shift by hand."""
+        """Run one return; one in ten by the phases, one in fifty without preparation or after a manual shift."""
         c, call = self.c, self.call
         if way > 0.98:
             call["shift"](c._s)
@@ -100,7 +100,7 @@ class Assault:
         return int(call["step"](c._s, c._xhat_c, c._u0_c))
 
     def segment(self, out: Outcome) -> None:
-        """Some samples with the same data."""
+        """Run some samples with the same data."""
         self.change_data()
         lower, upper = self.bounds()
         x, ways = self.states(SEGMENT), self.rng.random(SEGMENT)
@@ -113,7 +113,7 @@ class Assault:
 
 
 def run(job: tuple[Controller, Array, Array, int, int]) -> Outcome:
-    """So many returns of a controller: (it, home of its loop, spread of good states, seed, count)."""
+    """Run returns of a controller: job = (controller, home of its loop, spread of good states, seed, count)."""
     controller, rest, spread, seed, count = job
     out = Outcome()
     with np.errstate(all="ignore"):

@@ -1,7 +1,7 @@
-"""Sensors that fail for some samples: what an estimator must make of them.
+"""Sensors fail for some samples, and estimators must cope with it.
 
 An estimate is finite and unknown parameters are inside their range, whatever is measured; where the status is OK, the
-error is within 5 standard deviations as the covariance states them; two windows behind the fault it is OK, and right.
+error is within 5 standard deviations as the covariance states them; two windows after the fault it is OK, and right.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from verification.estimation import PLANTS, Model, Plant, battery, reactor, vehi
 
 Array = NDArray[np.float64]
 
-#: Samples before the fault, of a fault that lasts, and behind it; largest error where the status is OK.
+#: Samples before the fault, during a lasting fault, and in a window after it; largest error where the status is OK.
 BEFORE, LASTS, WINDOW, WITHIN = 40, 10, 10, 5.0
 #: Samples with an error beyond WITHIN deviations of the noise that noise and model together may explain.
 UNSEEN = 4
 
 
 def cart() -> tuple[OCP, Mapping[str, Any]]:
-    """A cart whose mass nobody knows."""
+    """State a cart with unknown mass."""
     ocp = OCP("cart", T=1.0, N=10)
     p, v, a = ocp.state("p", initial=1.0), ocp.state("v"), ocp.control("a")
     m = ocp.parameter("m", value=1.0, bounds=(0.2, 5))
@@ -37,7 +37,7 @@ def cart() -> tuple[OCP, Mapping[str, Any]]:
 
 
 def pendulum() -> tuple[OCP, Mapping[str, Any]]:
-    """A pendulum of which sine and cosine of the angle are measured."""
+    """State a pendulum whose sine and cosine of the angle are measured."""
     ocp = OCP("pendulum", T=1.0, N=20)
     angle, rate, u = ocp.state("angle", unit="rad"), ocp.state("rate", unit="rad/s"), ocp.control("u")
     ocp.dynamics({angle: rate, rate: -9.81 * ca.sin(angle) - 0.1 * rate + u})
@@ -48,7 +48,7 @@ def pendulum() -> tuple[OCP, Mapping[str, Any]]:
 def _as_declared(
     make: Callable[[], tuple[OCP, Mapping[str, Any]]], guess: Any, doubt: Any, of: Plant | None, **given: Any
 ) -> Plant:
-    """A plant that starts where it is believed to, but for the declared doubt."""
+    """Return a plant that starts where it is believed to, up to the declared doubt."""
     n = len(guess)
     more = {} if of is None else {"low": of.low, "high": of.high, "controls": of.controls, "silent": of.silent}
     return Plant(make, guess, doubt, guess, doubt, (1.0,) * n, BEFORE, WINDOW, **{**more, **given})
@@ -73,11 +73,11 @@ FAULTY: dict[str, Plant] = {
 
 @dataclass(frozen=True)
 class Fault:
-    """What a sensor tells for some samples, from what it should, the last one before the fault, and its noise."""
+    """A fault lasts some samples and computes readings from the true one, the last one before it, and the noise."""
 
     samples: int
     tells: Callable[[np.random.Generator, Array, Array, Array], Array]
-    repeats: bool = False  # the sample before is taken again: the plant does not move
+    repeats: bool = False  # the previous sample is repeated: the plant does not move
     shows: bool = True  # noise does not explain it for long
 
 
@@ -100,15 +100,17 @@ FAULTS: dict[str, Fault] = {
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was wrong in a run, "" where nothing was; and samples behind the first window and before the fault that were
-    right and not OK."""
+    """A verdict has the fault of a run, or "", and the number of samples that were right and not OK.
+
+    Samples in the first window and from the fault on do not count.
+    """
 
     wrong: str
     alarms: int
 
 
 def fly(plant: Plant, observer: Observer, fault: Fault, seed: int, before: int = BEFORE) -> Verdict:
-    """Take samples of the plant with a fault; ``before`` of them are good ones."""
+    """Run samples of the plant with a fault after ``before`` good ones."""
     rng, model = np.random.default_rng([11, seed]), Model(plant)
     low, high = plant.low or (-np.inf,) * len(plant.guess), plant.high or (np.inf,) * len(plant.guess)
     x = np.clip(np.array(plant.guess) + plant.doubt * rng.standard_normal(len(plant.guess)), low, high)
@@ -144,7 +146,7 @@ def fly(plant: Plant, observer: Observer, fault: Fault, seed: int, before: int =
 
 
 def _error(angles: list[int], difference: Array, std: Array) -> float:
-    """The largest error in standard deviations, but for full turns of angles."""
+    """Return the largest error in standard deviations, up to full turns of angles."""
     rest = difference.copy()
     rest[angles] -= 2 * np.pi * np.round(rest[angles] / (2 * np.pi))
     return float(np.max(np.abs(rest) / np.maximum(std, 1e-12)))

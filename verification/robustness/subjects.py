@@ -1,4 +1,4 @@
-"""Controllers that are given bad data: examples and small problems, over solvers, Hessians, shifts and precisions."""
+"""Controllers receive bad data: examples and small problems, over solvers, Hessians, shifts and precisions."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ Job = tuple[Controller, Array, Array, int, int]
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A problem, a state at which its loop is at home, and how far good measurements are from it.
+    """A subject is a problem, a state at which its loop is at home, and the distance of good measurements from it.
 
-    ``general``: its cost is no least squares, so that Gauss-Newton has nothing to work on.
+    ``general``: the cost is no least squares, so that Gauss-Newton does not apply.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Subject:
 
 
 def _oscillator(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
-    """x'' = -x + 0.3 x^3 + u: (ocp, x, v, u). Its hard spring runs away beyond |x| = 1.8."""
+    """State x'' = -x + 0.3 x^3 + u and return (ocp, x, v, u); its spring diverges beyond |x| = 1.8."""
     ocp = OCP(name, **(grid or {"T": 2.0, "N": 10}))
     x, v, u = ocp.state("x"), ocp.state("v"), ocp.control("u")
     ocp.dynamics({x: v, v: -x + 0.3 * x**3 + u})
@@ -67,12 +67,12 @@ def _oscillator(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
 
 
 def unbounded() -> OCP:
-    """No constraint at all."""
+    """State a problem without constraints."""
     return _oscillator("unbounded")[0]
 
 
 def soft_rows() -> OCP:
-    """Soft state bound and soft general row with a control, which has no bounds of its own."""
+    """State a soft state bound and a soft general row with a control, which has no bounds of its own."""
     ocp, x, v, u = _oscillator("soft_rows")
     ocp.subject_to(-0.3, v, 0.3, name="slow", soft=(5, 0))
     ocp.subject_to(-np.inf, x + u, 0.4, name="gentle", soft=(1, 10))
@@ -80,7 +80,7 @@ def soft_rows() -> OCP:
 
 
 def general_rows() -> OCP:
-    """Hard general rows on the path and at the end."""
+    """State hard general rows on the path and at the end."""
     ocp, x, v, u = _oscillator("general_rows")
     ocp.subject_to(-3, u, 3)
     ocp.subject_to(-2, u + x * v, 2, name="effort")
@@ -89,7 +89,7 @@ def general_rows() -> OCP:
 
 
 def free_component() -> OCP:
-    """The velocity at the start is chosen."""
+    """State a problem whose velocity at the start is free."""
     ocp, _x, v, u = _oscillator("free_component")
     ocp.free_initial(v)
     ocp.subject_to(-1, u, 1)
@@ -97,7 +97,7 @@ def free_component() -> OCP:
 
 
 def coupled_rows() -> OCP:
-    """The end is asked to be near the start, at a price."""
+    """State a soft row that keeps the end near the start."""
     ocp, x, _v, u = _oscillator("coupled_rows")
     ocp.subject_to(-1, u, 1)
     ocp.boundary(0, ocp.at_start(x) - ocp.at_end(x), 0, soft=(1, 0), name="loop")
@@ -105,7 +105,7 @@ def coupled_rows() -> OCP:
 
 
 def one_interval() -> OCP:
-    """N = nu = nx = 1."""
+    """State a problem with N = nu = nx = 1."""
     ocp = OCP("one_interval", T=0.5, N=1)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -(x**3) + u})
@@ -116,7 +116,7 @@ def one_interval() -> OCP:
 
 
 def parameters() -> OCP:
-    """A cart whose mass is a parameter."""
+    """State a cart whose mass is a parameter."""
     ocp = OCP("parameters", T=2.0, N=20)
     p, v, F = ocp.state("p", initial=1.0), ocp.state("v"), ocp.control("F")
     m = ocp.parameter("m", value=0.5)
@@ -133,7 +133,7 @@ def _at_rest_chain() -> Array:
 
 
 def subjects() -> tuple[Subject, ...]:
-    """Six examples and seven small problems."""
+    """Return six examples and seven small problems."""
     two = np.zeros(2)
     small = ((unbounded, 0.4), (soft_rows, 0.4), (general_rows, 0.2), (free_component, 0.3), (coupled_rows, 0.3))
     hover = lambda: quadrotor.build_ocp((0.0, 0.0, 0.0))  # noqa: E731
@@ -155,7 +155,7 @@ def subjects() -> tuple[Subject, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A subject with options; its controller is fresh."""
+    """A candidate is a subject with options; its controller is fresh."""
 
     subject: Subject
     label: str
@@ -171,7 +171,7 @@ def _shifted(moves: str | None, ocp: OCP) -> RealTimeIteration:
 
 
 def candidates() -> tuple[Candidate, ...]:
-    """Of every subject the options that are chosen for it, and three of all combinations in turn.
+    """Return for every subject its default options, and three of all combinations in turn.
 
     The combinations of solver, precision and Hessian are dealt out with a stride that has no divisor in common with
     their number, so that neighbours differ in all three; the shift moves on by itself.
@@ -196,7 +196,7 @@ def candidates() -> tuple[Candidate, ...]:
 
 
 def augmented() -> tuple[Candidate, ...]:
-    """The augmented Lagrangian for every subject, with shifts and precisions in turn."""
+    """Return the augmented Lagrangian for every subject, with shifts and precisions in turn."""
     found = []
     for i, subject in enumerate(subjects()):
         moves, precision = SHIFTS[i % len(SHIFTS)], PRECISIONS[i % 2]
@@ -216,8 +216,10 @@ TERMS: tuple[dict[str, Any], ...] = (
 
 
 def shooting() -> tuple[Candidate, ...]:
-    """Single shooting for every subject that it supports, with methods, shifts and precisions in turn: with the default
-    terms of rows, and with the first of the other ones, dealt out in turn, that the subject allows."""
+    """Return single shooting for every subject that it supports, with methods, shifts and precisions in turn.
+
+    Each has the default terms of rows, and the first of the other ones that the subject allows.
+    """
     found = []
     for i, subject in enumerate(subjects()):
         problem = classify(subject.make())
@@ -243,12 +245,12 @@ def _allowed(terms: dict[str, Any], problem: Problem) -> bool:
 
 
 def built(chosen: Iterable[Candidate], profile: str = "fast") -> list[Controller]:
-    """Their controllers, compiled side by side."""
+    """Return the controllers of candidates, compiled side by side."""
     return build_all(((c.subject.make(), c.options) for c in chosen), profile)
 
 
 def in_processes(run: Callable[[Job], Outcome], chosen: Sequence[tuple[int, Candidate]], count: int) -> list[Outcome]:
-    """Outcomes of ``run`` for every candidate, which goes by its number, two at a time.
+    """Return outcomes of ``run`` for every numbered candidate, in two processes.
 
     Processes start afresh: threads of CasADi and NumPy would be missing in a forked one.
     """

@@ -1,4 +1,4 @@
-"""Operations of the samples of closed loops: the worst against the median, and soft rows against none.
+"""Operations of the samples of closed loops are counted: the worst against the median, and soft rows against none.
 
 A loop is recorded with the compiled controller, then its measured states and set points are played to the same package
 with a real type that counts. Counts are exact and repeatable. Recorded and counted controls are compared.
@@ -24,14 +24,14 @@ from verification.scenarios import CRANE_LOOP, CSTR, EXAMPLES, FIGURE_6, FIGURE_
 
 Array = np.ndarray
 DRIVER = Path(__file__).with_name("counted_loop.cpp")
-STEPS = 1000  # of a loop at most
+STEPS = 1000  # most samples of a loop
 LEAST = 60  # samples of a quick look
-IN_USE = 0.2  # share of samples in which soft rows carry multipliers, without which a loop shows nothing
+IN_USE = 0.2  # least fraction of samples in which soft rows have multipliers
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A closed loop with default options, but for the integrator and Hessian of its example."""
+    """A closed loop has default options, except the integrator and Hessian of its example."""
 
     name: str
     make: Callable[[], OCP]
@@ -42,9 +42,9 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Samples of a loop: (set point or None, measured state), controls (n, nu), whether a soft row had a multiplier.
+    """A recording has samples (set point or None, measured state), controls (n, nu), and uses of soft rows (n,).
 
-    ``opened``: numbers of the rows whose bounds were taken away before the first sample.
+    ``opened``: indices of the rows whose bounds were removed before the first sample.
     """
 
     opened: list[int]
@@ -55,7 +55,7 @@ class Recorded:
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """Operations (n,), those with comparisons, signs and magnitudes (n,), status (n,), controls (n, nu) of samples."""
+    """Samples are counted: operations (n,), also with comparisons and signs, statuses (n,), controls (n, nu)."""
 
     operations: Array
     every: Array
@@ -64,7 +64,7 @@ class Counted:
 
 
 def closed_loops() -> list[Loop]:
-    """Those of the other benchmarks."""
+    """Return the loops of the other benchmarks."""
     exact = bioreactor.options(ExactHessian(Project()), "repeat")
     plain = Options(exact.integrator, exact.hessian, algorithm=exact.algorithm)
     fermenter = Scenario(bioreactor.START, bioreactor.SAMPLING, 50, restart=1e-2)
@@ -77,7 +77,7 @@ def closed_loops() -> list[Loop]:
 
 
 def _slow_crane() -> OCP:
-    """Speed of the trolley and angle of the load within limits that a jump of the load's place breaks."""
+    """State the crane with limits of trolley speed and load angle that a jump of the load violates."""
     ocp = crane.build_ocp(False)
     ocp.subject_to(-0.3, ocp.x[1], 0.3, name="speed", soft=(10.0, 0.0))
     ocp.subject_to(-0.02, ocp.x[2], 0.02, name="angle", soft=(50.0, 10.0))
@@ -85,7 +85,7 @@ def _slow_crane() -> OCP:
 
 
 def _warm_reactor() -> OCP:
-    """Temperatures that the set point lies below."""
+    """State the reactor with temperature limits above the set point."""
     ocp = cstr.build_ocp(state_bounds=False)
     ocp.subject_to(115.0, ocp.x[2], np.inf, name="warm", soft=(1.0, 0.0))
     ocp.subject_to(-np.inf, ocp.x[3], 112.0, name="cool", soft=(1.0, 0.5))
@@ -93,7 +93,7 @@ def _warm_reactor() -> OCP:
 
 
 def _gentle_quadrotor() -> OCP:
-    """Speed and tilt, general rows."""
+    """State the quadrotor with limits of speed and tilt as general rows."""
     ocp = quadrotor.build_ocp((0.0, 0.0, 0.0))
     ocp.subject_to(-np.inf, ca.dot(ocp.x[3:6], ocp.x[3:6]), 0.05, name="speed", soft=(20.0, 0.0))
     ocp.subject_to(0.999, ca.cos(ocp.x[6]) * ca.cos(ocp.x[7]), np.inf, name="tilt", soft=(100.0, 0.0))
@@ -101,7 +101,7 @@ def _gentle_quadrotor() -> OCP:
 
 
 def _walled_chain() -> OCP:
-    """A wall beside the chain that the pushes take it through."""
+    """State the chain with a wall that the pushes drive it through."""
     ocp = chain.build_ocp(3)
     ocp.subject_to(-np.inf, ocp.x[1], 0.02, name="wall", soft=(5.0, 0.0))
     ocp.subject_to(-np.inf, ocp.x[4], 0.02, name="hand_wall", soft=(5.0, 0.0))
@@ -109,7 +109,7 @@ def _walled_chain() -> OCP:
 
 
 def _cautious_pole() -> OCP:
-    """Place and force of the cart within soft limits."""
+    """State the cart-pole with soft limits of position and force."""
     ocp = cart_pole.build_ocp()
     ocp.subject_to(-0.02, ocp.x[0], 0.02, name="place", soft=(100.0, 0.0))
     ocp.subject_to(-1.0, ocp.u[0], 1.0, name="force", soft=(1.0, 0.1))
@@ -117,7 +117,7 @@ def _cautious_pole() -> OCP:
 
 
 def soft_loops() -> list[Loop]:
-    """Loops that run into soft rows, again and again."""
+    """Return loops that run into soft rows again and again."""
     hover = np.array([*np.zeros(12), *np.full(4, quadrotor.HOVER)])
     there = hover + np.array([1.0, 1.0, 1.0, *np.zeros(13)])
     points = tuple((y, y[:12]) for y in (hover, there))
@@ -157,12 +157,12 @@ def record(loop: Loop, steps: int, opened: list[int]) -> Recorded:
 
 
 def _soft_rows_in_use(c: Controller) -> bool:
-    """A row other than a bound of a control has a multiplier; loops with soft rows have no hard ones of this kind."""
+    """Return True if a row other than a control bound has a multiplier; these loops have no hard rows of that kind."""
     return c.status == Status.OK and any(np.any(v) for v in (c.mu_x, c.mu, c.mu_N, c.eta))
 
 
 def soft_rows(c: Controller) -> list[int]:
-    """Numbers of the soft rows."""
+    """Return the indices of the soft rows."""
     return [i for i, row in enumerate(c.description.rows) if row.soft]
 
 
@@ -198,11 +198,11 @@ def _play(program: Path, recorded: Recorded) -> Counted:
 
 
 def steps_of(loop: Loop, scale: float) -> int:
-    """The share that is asked for, but enough for something to happen."""
+    """Return the requested fraction of the samples, but enough for the loop to be disturbed."""
     return min(loop.steps, max(LEAST, round(1.2 * loop.scenario.period), round(scale * loop.steps)))
 
 
 def control_difference(recorded: Recorded, counted: Counted) -> float:
-    """Of the controls, relative to the largest of each."""
+    """Return the largest difference of the controls, relative to the largest magnitude of each."""
     size = np.maximum(np.max(np.abs(recorded.u), axis=0), np.finfo(float).tiny)
     return float(np.max(np.abs(recorded.u - counted.u) / size))

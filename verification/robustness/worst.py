@@ -1,7 +1,7 @@
-"""Counted operations of samples against the worst case that worst_case() finds.
+"""Operations of samples are counted and compared with the worst case that worst_case() finds.
 
 The loops are those of the part `work`. Each of them also gets measured states that are drawn at random, near and far,
-one after the other without a plant, so that the solvers start from working sets and plans that do not fit.
+one after the other without a plant, so that the solvers start from wrong working sets and plans.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ FARTHEST = 3.0  # power of ten of the largest distance from the first state
 
 
 def hostile(loop: Loop, samples: int) -> Recorded:
-    """Measured states at distances from 0.1 to 1000, every fourth one where the loop starts."""
+    """Draw measured states at distances from 0.1 to 1000, and every fourth one at the start of the loop."""
     random, x0 = np.random.default_rng(2), np.array(loop.scenario.x0, dtype=float)
     states: list[tuple[Array | None, Array]] = []
     for k in range(samples):
@@ -30,11 +30,11 @@ def hostile(loop: Loop, samples: int) -> Recorded:
 
 
 def package_of(loop: Loop) -> Sources:
-    """Its package."""
+    """Return the package of a loop."""
     return compile(loop.make(), loop.options)
 
 
 def played(loop: Loop, scale: float) -> Counted:
-    """The samples of the loop, then hostile ones, counted."""
+    """Count the samples of the loop, then hostile ones."""
     parts = count(loop, record(loop, steps_of(loop, scale), []), hostile(loop, max(40, round(scale * HOSTILE))))
     return Counted(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(Counted)))

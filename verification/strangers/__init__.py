@@ -1,1 +1,1 @@
-"""Problems that no default was made for, each solved twice: by the product and by an independent twin."""
+"""Strangers are problems for which no default was made; the product and an independent twin solve each."""

@@ -1,4 +1,4 @@
-"""Swing-ups, arms, a suspended ball."""
+"""Strangers: swing-ups, arms, a suspended ball."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from verification.strangers.statement import Limit, Stranger
 
 
 def _angle(x: float) -> float:
-    """Distance of an angle from the upright one."""
+    """Return the distance of an angle from the upright one."""
     return float(abs(np.angle(np.exp(1j * (x - np.pi)))))
 
 
@@ -35,7 +35,7 @@ PENDULUM = Stranger(
 
 
 def _arm(x: Any, u: Any) -> Any:
-    """Two links of 1 kg and 0.5 m in a plane without gravity, driven in both joints."""
+    """Return the slopes of two links of 1 kg and 0.5 m in a plane without gravity, driven in both joints."""
     c, s = ca.cos(x[1]), ca.sin(x[1])
     a, b, d = 0.42 + 0.25 * c, 0.083 + 0.125 * c, 0.083
     h = 0.125 * s
@@ -49,7 +49,7 @@ def _hand(x: Any) -> Any:
     return ca.vertcat(0.5 * ca.cos(x[0]) + 0.5 * ca.cos(x[0] + x[1]), 0.5 * ca.sin(x[0]) + 0.5 * ca.sin(x[0] + x[1]))
 
 
-# Arm whose hand goes round a disc in its workspace.
+# Arm whose hand moves round a disc in its workspace.
 ARM = Stranger(
     "arm",
     "arms",

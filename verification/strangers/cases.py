@@ -1,4 +1,4 @@
-"""Loops that one QP per sample easily loses: a drone at a pillar, a car that passes another, a tilting drone."""
+"""One QP per sample easily loses these loops: a drone at a pillar, a car that passes another, a tilting drone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vehicles among obstacles, ships, trailers."""
+"""Strangers: vehicles among obstacles, ships, trailers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from verification.strangers.statement import Limit, Stranger
 
 
 def _disc(name: str, x: float, y: float, radius: float) -> Limit:
-    """Outside of a disc; states 0 and 1 are the place."""
+    """Return the row outside of a disc; states 0 and 1 are the position."""
     return Limit(name, lambda s, _: (s[0] - x) ** 2 + (s[1] - y) ** 2, radius**2, scale=radius**2)
 
 

@@ -1,6 +1,6 @@
-"""A house with a heat pump, a buffer and a tariff: costs without curvature in every control, forecasts, soft comfort.
+"""A house has a heat pump, a buffer and a tariff: costs without curvature in all controls, forecasts, soft comfort.
 
-Three days in steps of a quarter of an hour. OPTIMUM: the costs of the loop in which every sample is solved to
+Three days in steps of a quarter of an hour. OPTIMUM is the cost of the loop in which every sample is solved to
 convergence.
 """
 
@@ -21,8 +21,10 @@ OPTIMUM = 10.456  # EUR
 
 
 def ocp() -> OCP:
-    """Two zones (degC) heated from a buffer, which the heat pump heats with an efficiency that falls with its
-    temperature."""
+    """State two zones (degC) heated from a buffer, which a heat pump heats.
+
+    The efficiency of the pump falls with the buffer temperature.
+    """
     ocp = OCP("house", T=N * DT, N=N, time_unit="h")
     zone, buffer = ocp.state("zone", size=2, unit="degC", initial=START[:2]), ocp.state("buffer", initial=START[2])
     pump, heat = ocp.control("pump", unit="kW"), ocp.control("heat", size=2, unit="kW")
@@ -40,7 +42,7 @@ def ocp() -> OCP:
 
 
 def options(**more: object) -> Options:
-    """Bounds of comfort that differ from node to node, and what else a user may choose."""
+    """Return options with comfort bounds that differ from node to node, and with the given ones."""
     return Options(online=Online(bounds="node"), **more)  # type: ignore[arg-type]
 
 
@@ -50,7 +52,7 @@ def _tariff(hour: Array) -> Array:
 
 
 def forecast() -> dict[str, Any]:
-    """Prices, weather and comfort over the samples and the horizon of the last one, as simulate() takes them."""
+    """Return prices, weather and comfort over the samples and the last horizon, as simulate() takes them."""
     t = np.arange(SAMPLES + N + 1) * DT
     hour = t % 24
     day, asleep = (hour > 7) & (hour < 17), (hour < 6) | (hour > 22)
@@ -64,7 +66,7 @@ def forecast() -> dict[str, Any]:
 
 
 def run(controller: Controller) -> tuple[Counter[str], float]:
-    """Statuses of the loop, and what it costs in EUR."""
+    """Return the statuses of the loop and its cost in EUR."""
     controller.reset()
     log = simulate(controller, START, SAMPLES, plans=0, **forecast())
     cost = float(np.sum(_tariff(log.t[:-1]) * log.u[:, 0])) * DT

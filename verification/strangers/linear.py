@@ -1,4 +1,4 @@
-"""Linear costs: a battery and a heated tank with tariffs, whose samples are linear programs. The oracle is linprog."""
+"""A battery and a heated tank with tariffs have linear costs, so that their samples are linear programs for linprog."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ class LinearCase:
     optimum: Callable[[float, int], float]
 
     def run(self, controller: Controller) -> tuple[int, float]:
-        """Samples that are not OK in the loop of the model, and the largest difference of their cost from the optimum;
-        solve() follows after every eighth sample."""
+        """Count samples not OK in the loop of the model; return the count and the largest cost error.
+
+        The error is the difference from the optimum. solve() follows after every eighth sample.
+        """
         x, bad, worst = np.array([self.start]), 0, 0.0
         controller.reset()
         for k in range(self.samples):
@@ -64,7 +66,7 @@ def _load(k: int) -> Array:
 
 
 def battery() -> OCP:
-    """energy' = 0.95 charge - discharge / 0.95; buy - sell = load + charge - discharge."""
+    """State energy' = 0.95 charge - discharge / 0.95; buy - sell = load + charge - discharge."""
     ocp = OCP("home_battery", T=float(HOURS), N=HOURS)
     energy = ocp.state("energy", unit="kWh", initial=4.0)
     charge, discharge, buy, sell = (ocp.control(name, unit="kW") for name in ("charge", "discharge", "buy", "sell"))
@@ -82,7 +84,7 @@ def battery() -> OCP:
 
 
 def _cheapest_battery(energy: float, k: int) -> float:
-    """linprog over charge, discharge, buy, sell."""
+    """Solve for charge, discharge, buy, sell by linprog."""
     price, load, one = _tariff(k)[:HOURS], _load(k)[:HOURS], np.eye(HOURS)
     sums = np.tril(np.ones((HOURS, HOURS)))
     stored = np.hstack([0.95 * sums, -sums / 0.95, np.zeros((HOURS, 2 * HOURS))])
@@ -114,7 +116,7 @@ def _draw(k: int) -> Array:
 
 
 def tank() -> OCP:
-    """1.16 T' = P - 0.05 (T - 20) - draw, 45 <= T <= 80 soft."""
+    """State 1.16 T' = P - 0.05 (T - 20) - draw, 45 <= T <= 80 soft."""
     ocp = OCP("tank", T=NODES * STEP, N=NODES)
     temperature, power = ocp.state("T", unit="degC", initial=50.0), ocp.control("P", unit="kW")
     price, draw = ocp.parameter("price", value=0.2), ocp.parameter("draw", unit="kW")
@@ -126,7 +128,7 @@ def tank() -> OCP:
 
 
 def _cheapest_tank(temperature: float, k: int) -> float:
-    """linprog over powers and violations below and above; T_{i+1} = a T_i + b (P_i + 1 - draw_i) by RK4."""
+    """Solve for powers and violations below and above by linprog; T_{i+1} = a T_i + b (P_i + 1 - draw_i) by RK4."""
     z = -0.05 / HEAT * STEP
     a = 1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24
     b = (a - 1) / -0.05

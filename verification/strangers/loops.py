@@ -1,4 +1,4 @@
-"""Closed loops of the product on the strangers, judged by the twin."""
+"""The product flies the strangers in closed loop, and the twin judges the loops."""
 
 from __future__ import annotations
 
@@ -20,9 +20,12 @@ VIOLATED, DEARER, RANGE, LITTLE = 1e-2, 0.2, 0.02, 0.25
 
 @dataclass(frozen=True)
 class Verdict:
-    """A loop of the product: what it came to, its statuses, the samples that are OK although their plan is far from the
-    model or their control breaks a row, QPs that samples took, why the loop is lost ("" if it is not), and
-    the most samples on end that were RELAXED."""
+    """A verdict has the outcome of a loop of the product, its statuses, and its faults.
+
+    ``far``: samples that are OK although their plan is far from the model or their control breaks a row;
+    ``iterations``: QPs of all samples; ``lost``: the reason why the loop is lost, or ""; ``relaxed``: most consecutive
+    RELAXED samples.
+    """
 
     outcome: Outcome
     statuses: Counter[str]
@@ -34,13 +37,15 @@ class Verdict:
 
     @property
     def bad(self) -> int:
-        """Samples that are neither OK nor RELAXED."""
+        """Return the number of samples that are neither OK nor RELAXED."""
         return self.samples - self.statuses["OK"] - self.statuses["RELAXED"]
 
 
 class Judge:
-    """The residual of a plan, from the twin's model and rows. A gap is measured in the size of its state in the plan,
-    at least in a part of that at the start."""
+    """A judge computes the residual of a plan from the twin's model and rows.
+
+    A gap is measured in the size of its state in the plan, at least in a fraction of its size at the start.
+    """
 
     def __init__(self, twin: Twin) -> None:
         s = twin.stranger
@@ -60,14 +65,14 @@ class Judge:
         self._of_controls = ca.Function("rows", [u], [on_controls])
 
     def _widen(self, row: Limit, x: ca.SX, u: ca.SX) -> None:
-        """Note half the width of the bounds of a bare state."""
+        """Record half the width of the bounds of a state."""
         value, half = row.value(x, u), (row.upper - row.lower) / 2
         for i in range(x.numel()):
             if row.soft is None and np.isfinite(half) and ca.is_equal(value, x[i]):
                 self._least[i] = max(self._least[i], half)
 
     def residual(self, X: Array, U: Array, xhat: Array, shifted: bool) -> float:
-        """Largest gap and violation of a hard row in the plan (N+1, nx), (N, nu), without what a shift has added."""
+        """Return the largest gap or violation of a hard row in the plan (N+1, nx), (N, nu), without the shifted end."""
         size = np.maximum(np.maximum(np.max(np.abs(X), axis=0), np.abs(xhat)), self._least)
         size[size == 0] = 1.0
         gaps = np.abs(np.asarray(self._step(X[:-1].T, U.T)).T - X[1:]) / size
@@ -80,7 +85,7 @@ class Judge:
         return worst
 
     def broken(self, u: Array) -> float:
-        """Largest violation of a hard row on the controls alone by those that are applied (nu,)."""
+        """Return the largest violation of a hard row on controls only by the applied controls (nu,)."""
         if not self._on_controls:
             return 0.0
         return _violation(self._on_controls, np.asarray(self._of_controls(u)).T)
@@ -99,8 +104,10 @@ def _violation(rows: list[Limit], values: Array) -> float:
 def run(
     stranger: Stranger, numbers: Sequence[int], options: Options | None = None, nominal: bool = False
 ) -> list[Verdict]:
-    """The loops with these numbers from fresh plans, without their kicks if ``nominal``, and what is wrong with them;
-    by default with the options of a user who says nothing but the integration steps."""
+    """Judge the loops with these numbers from fresh plans, without their kicks if ``nominal``.
+
+    The default options state only the integration steps.
+    """
     twin = Twin(stranger)
     flown = campaign(
         stranger.ocp(), options=options or stranger.options(), progress=False, **stranger.flights(numbers, nominal)
@@ -109,7 +116,7 @@ def run(
 
 
 def _judge_loop(twin: Twin, judge: Judge, flown: Campaign, i: int, number: int, nominal: bool) -> Verdict:
-    """The verdict on flight i, which is replayed beside its plans."""
+    """Return the verdict on flight i, which is replayed together with its plans."""
     s, watcher = twin.stranger, _Watcher()
     log = flown.replay(i, watcher.look)
     watcher.keep()
@@ -130,7 +137,7 @@ def _judge_loop(twin: Twin, judge: Judge, flown: Campaign, i: int, number: int, 
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """The plan of a sample, (N+1, nx) and (N, nu), its status, and how many QPs it took."""
+    """A sample has its plan (N+1, nx) and (N, nu), its status, and its number of QPs."""
 
     plan: tuple[Array, Array]
     status: str
@@ -138,26 +145,26 @@ class _Sample:
 
 
 class _Watcher:
-    """Looks at the plans of a flight."""
+    """A watcher records the plans of a flight."""
 
     def __init__(self) -> None:
         self.samples: list[_Sample] = []
         self._controller: Controller | None = None
 
     def look(self, k: int, controller: Controller) -> None:
-        """Before sample k: what the one before has left."""
+        """Record, before sample k, the plan of the previous sample."""
         self.keep()
         self._controller = controller
 
     def keep(self) -> None:
-        """After a sample."""
+        """Record the plan after a sample."""
         c = self._controller
         if c is not None:
             self.samples.append(_Sample((c.x.copy(), c.u.copy()), c.status.name, c.stats.iterations))
 
 
 def _why_lost(s: Stranger, number: int, mine: Outcome, theirs: list[Outcome]) -> str:
-    """Why a loop is lost where that of IPOPT is not."""
+    """Return the reason why a loop is lost that IPOPT does not lose, or ""."""
     other = theirs[number]
     spread = max(o.cost for o in theirs) - min(o.cost for o in theirs)
     if not mine.finite:

@@ -1,4 +1,4 @@
-"""Problems that are solved once: swing-ups, minimum time, a linear tariff, a gate."""
+"""These strangers are solved once: swing-ups, minimum time, a linear tariff, a gate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def _at_end(name: str, value: Any, target: float, scale: float = 1.0) -> Limit:
 
 
 def _states(targets: dict[int, float], scale: float = 1.0) -> tuple[Limit, ...]:
-    """End conditions on states."""
+    """Return end conditions on states."""
     return tuple(_at_end(f"end_{i}", lambda x, i=i: x[i], target, scale) for i, target in targets.items())
 
 
@@ -25,7 +25,7 @@ def _states(targets: dict[int, float], scale: float = 1.0) -> tuple[Limit, ...]:
 
 
 def _cart_pole(x: Any, u: Any) -> Any:
-    """Cart of 1 kg, bob of 0.3 kg on 0.5 m, hanging at angle 0."""
+    """Return the slopes of a cart of 1 kg with a bob of 0.3 kg on 0.5 m, hanging at angle 0."""
     s, c, big, small, length = ca.sin(x[1]), ca.cos(x[1]), 1.0, 0.3, 0.5
     inertia = big + small * s**2
     along = (length * small * s * x[3] ** 2 + u[0] + small * G * c * s) / inertia
@@ -46,7 +46,10 @@ CART_POLE = Stranger(
 
 
 def _acrobot(x: Any, u: Any) -> Any:
-    """Two rods of 1 kg and 1 m, driven in the joint between them; angles from hanging, the second relative."""
+    """Return the slopes of two rods of 1 kg and 1 m, driven in their joint.
+
+    Angles from hanging, the second relative.
+    """
     c2, s2, I = ca.cos(x[1]), ca.sin(x[1]), 1 / 12  # noqa: E741
     far = I + 0.25
     mixed = far + 0.5 * c2
@@ -75,7 +78,7 @@ HALF, J_ROD = L_ROD / 2, M_ROD * (L_ROD / 2) ** 2 / 3
 
 
 def _double_pendulum(x: Any, u: Any) -> Any:
-    """Cart with two rods in a row, angles from upright."""
+    """Return the slopes of a cart with two rods in a row, angles from upright."""
     c1, c2, s1, s2 = ca.cos(x[1]), ca.cos(x[2]), ca.sin(x[1]), ca.sin(x[2])
     c12, s12 = ca.cos(x[1] - x[2]), ca.sin(x[1] - x[2])
     first, second, cross = M_ROD * (HALF + L_ROD), M_ROD * HALF, M_ROD * HALF * L_ROD
@@ -139,7 +142,7 @@ GATE = Stranger(
 
 
 def _timed(model: Any) -> Any:
-    """The model in scaled time with the duration as its last state."""
+    """Return the model in scaled time with the duration as its last state."""
     return lambda x, u: ca.vertcat(x[-1] * model(x, u), 0)
 
 
@@ -156,7 +159,7 @@ STEERING = Stranger(
 
 
 def _robot(x: Any, u: Any) -> Any:
-    """Arm of 5 m that reaches, turns and rises."""
+    """Return the slopes of an arm of 5 m that reaches, turns and rises."""
     phi = ((5 - x[0]) ** 3 + x[0] ** 3) / 3
     theta = phi * ca.sin(x[4]) ** 2
     return ca.vertcat(x[1], u[0] / 5, x[3], u[1] / theta, x[5], u[2] / phi)

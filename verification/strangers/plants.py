@@ -1,4 +1,4 @@
-"""Reactors, tanks, epidemics, ecology."""
+"""Strangers: reactors, tanks, epidemics, ecology."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from verification.strangers.statement import Limit, Stranger
 
 
 def _hicks_ray(x: Any, u: Any) -> Any:
-    """Exothermic stirred tank, dimensionless: concentration, temperature; coolant flow."""
+    """Return the slopes of an exothermic stirred tank, dimensionless: concentration, temperature; coolant flow."""
     rate = 300 * x[0] * ca.exp(-5 / (x[1] + 1e-6))
     return ca.vertcat((1 - x[0]) / 20 - rate, (0.3947 - x[1]) / 20 + rate - 1.95e-4 * u[0] * (x[1] - 0.3816))
 
@@ -35,11 +35,11 @@ REACTOR = Stranger(
 
 
 def _out(level: Any) -> Any:
-    """Outflow of a tank in cm/s: sqrt(2 g h), smooth at the bottom."""
+    """Return the outflow of a tank in cm/s: sqrt(2 g h), smooth at the bottom."""
     return ca.sqrt(2 * 981 * (level + 0.01))
 
 
-# Four coupled tanks in centimetres; the lower two are asked to change places.
+# Four coupled tanks in centimetres; the levels of the lower two are to be exchanged.
 TANKS = Stranger(
     "tanks",
     "reactors",

@@ -1,4 +1,4 @@
-"""Tariffs, converters, reservoirs."""
+"""Strangers: tariffs, converters, reservoirs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from verification.strangers.statement import Limit, Stranger
 
 
 def _price(clock: Any) -> Any:
-    """Price in EUR/kWh over a day of 2 pi, with a peak in the evening."""
+    """Return the price in EUR/kWh over a day of 2 pi, with a peak in the evening."""
     return 0.2 + 0.08 * ca.sin(clock - 2.0) + 0.05 * ca.sin(2 * clock)
 
 

@@ -1,4 +1,4 @@
-"""The strangers, and beside them cases that one QP per sample easily loses."""
+"""All strangers are listed here, with cases that one QP per sample easily loses."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ ONCE: tuple[Stranger, ...] = (
     *(STEERING, ROBOT_ARM, VAN_DER_POL, FREE_TIME, ZERMELO, ARBITRAGE),
 )
 
-#: Those of ONCE that users found unsolved.
+#: Problems of ONCE that users found unsolved.
 OPEN: tuple[str, ...] = (*("steering", "robot_arm", "acrobot", "gate", "double_pendulum", "van_der_pol", "arbitrage"),)
 
 
 def known(name: str) -> Stranger:
-    """The stranger of that name."""
+    """Return the stranger of that name."""
     return next(stranger for stranger in ONCE if stranger.name == name)

@@ -1,4 +1,4 @@
-"""Remedies that are advised after a failure, flown on the problems that fail: samples of that kind before and after."""
+"""Remedies advised after a failure are tried on the problems that fail; failures are counted before and after."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ from verification.strangers.problems import known
 from verification.strangers.statement import Array
 from verification.strangers.twin import Twin
 
-#: Loops of a stranger, and cold starts of solve(), that are flown.
+#: Numbers of loops of a stranger, and of cold starts of solve().
 LOOPS, STARTS = 10, 10
 
-#: Failures of a kind among samples or solves.
+#: Returns the failures of a kind, and the number of samples or solves.
 Flight = Callable[[], tuple[int, int]]
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A failure, where it occurs, the remedy, and the flights without and with it."""
+    """A trial has a failure, its problem, the remedy, and the flights without and with it."""
 
     failure: str
     where: str
@@ -52,7 +52,7 @@ class Trial:
 
 
 def _stranger(name: str, failure: str, solved: bool = False, **options: Any) -> Flight:
-    """Samples with this status in loops of a stranger, after solve() at their start if ``solved``."""
+    """Count samples with this status in loops of a stranger, after solve() at their start if ``solved``."""
 
     def fly() -> tuple[int, int]:
         s = known(name)
@@ -70,7 +70,7 @@ def _stranger(name: str, failure: str, solved: bool = False, **options: Any) -> 
 
 
 def _lost(name: str, algorithm: RealTimeIteration | AugmentedLagrangian) -> Flight:
-    """Loops of a stranger that are lost."""
+    """Count lost loops of a stranger."""
 
     def fly() -> tuple[int, int]:
         s = known(name)
@@ -81,7 +81,7 @@ def _lost(name: str, algorithm: RealTimeIteration | AugmentedLagrangian) -> Flig
 
 
 def _house(failure: str, **options: Any) -> Flight:
-    """Samples of the house with this status."""
+    """Count samples of the house with this status."""
 
     def fly() -> tuple[int, int]:
         statuses, _ = house.run(build(house.ocp(), house.options(**options), "fast"))
@@ -91,7 +91,7 @@ def _house(failure: str, **options: Any) -> Flight:
 
 
 def _solves(name: str, limit: int) -> Flight:
-    """Cold starts of solve() that end at this limit of iterations."""
+    """Count cold starts of solve() that end at this limit of iterations."""
 
     def fly() -> tuple[int, int]:
         s = known(name)
@@ -107,7 +107,10 @@ def _solves(name: str, limit: int) -> Flight:
 
 
 def cart_in_a_box(N: int, soft: tuple[float, float] | None = None) -> tuple[OCP, Array, Array]:
-    """A linear pendulum on a cart with a box of the states, which a short horizon leaves; A (4, 4) and B (4, 1)."""
+    """State a linear pendulum on a cart whose states leave a box with a short horizon.
+
+    Return it with A (4, 4), B (4, 1).
+    """
     M, m, length, g, h = 0.6, 0.4, 0.35, 9.81, 0.02
     A, B = np.zeros((4, 4)), np.array([[0], [0], [1 / M], [1 / (M * length)]])
     A[0, 2] = A[1, 3] = 1
@@ -125,7 +128,7 @@ def cart_in_a_box(N: int, soft: tuple[float, float] | None = None) -> tuple[OCP,
 
 
 def _pushed(N: int, soft: tuple[float, float] | None = None) -> Flight:
-    """The cart: 500 samples."""
+    """Count RELAXED samples of the cart, out of 500."""
 
     def fly() -> tuple[int, int]:
         ocp, A, B = cart_in_a_box(N, soft)
@@ -136,7 +139,7 @@ def _pushed(N: int, soft: tuple[float, float] | None = None) -> Flight:
 
 
 def _culture(steps: int) -> Flight:
-    """A cell culture with a pole that is fast where its optimum is: 40 samples of a finely simulated plant."""
+    """Count failures of a cell culture with a fast pole at its optimum, in 40 samples of a finely simulated plant."""
 
     def fly() -> tuple[int, int]:
         ocp = OCP("culture", T=30.0, N=30)
@@ -219,7 +222,7 @@ TRIALS: tuple[Trial, ...] = (
 
 
 def table() -> str:
-    """What the remedies change, in Markdown."""
+    """Return the effects of the remedies in Markdown."""
     lines = ["| failure | where | remedy | before | after |", "|---|---|---|---:|---:|"]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ProblemWarning)

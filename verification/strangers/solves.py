@@ -1,4 +1,4 @@
-"""Cold starts of solve() from the boxes of the strangers, judged by residuals that are recomputed from the problem.
+"""solve() starts cold from the boxes of the strangers, judged by residuals recomputed from the problem.
 
     python -m verification.strangers.solves [--only NAMES]
 
@@ -29,18 +29,18 @@ ITERATIONS = 300
 
 
 def is_worse(one: Attempt, other: Attempt) -> bool:
-    """True if the optimum of one is dearer than that of another."""
+    """Return True if the optimum of one costs more than that of another."""
     return one.cost > other.cost + WORSE * max(1.0, abs(other.cost))
 
 
 @cache
 def by_ipopt() -> dict[str, list[Attempt]]:
-    """IPOPT's solves, by problem and number of the start."""
+    """Return IPOPT's solves, by problem and number of the start."""
     return recorded(RESULTS)
 
 
 def solves_of_ipopt(name: str) -> list[Attempt]:
-    """IPOPT from the plan that stays at the start."""
+    """Run IPOPT from the plan that stays at the start."""
     twin, found = Twin(known(name)), []
     for number in range(STARTS):
         start = twin.stranger.initial(number)
@@ -51,7 +51,7 @@ def solves_of_ipopt(name: str) -> list[Attempt]:
 
 
 def solves(stranger: Stranger, controller: Controller, numbers: Iterable[int]) -> list[Attempt]:
-    """solve() of this controller from the same plans."""
+    """Run solve() of this controller from the same plans."""
     twin, ocp, found = Twin(stranger), classify(stranger.ocp()), []
     tableau = replace(CLASSICAL, steps=stranger.steps)
     for number in numbers:
@@ -65,7 +65,7 @@ def solves(stranger: Stranger, controller: Controller, numbers: Iterable[int]) -
 
 
 def main() -> None:
-    """Compute IPOPT's results of these problems anew."""
+    """Compute IPOPT's results of these problems again."""
     command = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     command.add_argument("--only", help="names, separated by commas")
     options = command.parse_args()

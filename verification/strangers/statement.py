@@ -1,4 +1,4 @@
-"""A stranger: an optimal control problem with a closed loop, stated apart from the product.
+"""A stranger is an optimal control problem with a closed loop, stated independently of the product.
 
 min sum_{k<N} 1/2 |residual(x_k, u_k)|_W^2 + dt rate(x_k, u_k) + 1/2 |end_residual(x_N)|_P^2 + end_cost(x_N)
 x_{k+1} = RK4 of model(x, u) over dt = T / N in ``steps`` steps
@@ -21,7 +21,10 @@ Function = Callable[[Any, Any], Any]  # of the vectors x and u
 
 @dataclass(frozen=True, eq=False)
 class Limit:
-    """A row lower <= value(x, u) <= upper at nodes of the path, or of x at the end; ``scale``: what counts as far."""
+    """A limit is a row lower <= value(x, u) <= upper at nodes of the path, or of x at the end.
+
+    ``scale``: a violation of this size counts as large.
+    """
 
     name: str
     value: Function
@@ -34,9 +37,12 @@ class Limit:
 
 @dataclass(frozen=True, eq=False)
 class Stranger:
-    """``start``: the box of initial states; ``free``: components of them that are only guesses; ``samples``: of a
-    closed loop, none if the problem is only solved; ``kick``: (sample, what is added to the state after it);
-    ``distance``: of a state from the goal, which is reached within ``reach``."""
+    """A stranger is stated by functions, bounds and the data of its loop.
+
+    ``start``: the box of initial states; ``free``: components of the start that are only guesses; ``samples``: samples
+    of the closed loop, 0 if the problem is only solved; ``kick``: (sample, addition to the state after it);
+    ``distance``: distance of a state from the goal, which is reached within ``reach``.
+    """
 
     name: str
     family: str
@@ -62,16 +68,16 @@ class Stranger:
 
     @property
     def dt(self) -> float:
-        """Length of an interval, which is the time between samples."""
+        """Return the length of an interval, which is the time between samples."""
         return self.T / self.N
 
     def initial(self, number: int) -> Array:
-        """Initial state (nx,) of the loop with this number."""
+        """Return the initial state (nx,) of the loop with this number."""
         random = np.random.default_rng([40, number])
         return random.uniform(*map(np.asarray, self.start))
 
     def flights(self, numbers: Sequence[int], nominal: bool = False) -> dict[str, Any]:
-        """Arguments of campaign(): the loops with these numbers, without their kicks if ``nominal``."""
+        """Return arguments of campaign() for the loops with these numbers, without their kicks if ``nominal``."""
         added = np.zeros((self.samples, len(self.states)))
         if not nominal:
             added[self.kick[0]] = self.kick[1]
@@ -79,11 +85,11 @@ class Stranger:
         return {"starts": starts, "added": added, "steps": self.samples, "parameters": {}, "known": {}}
 
     def options(self) -> Options:
-        """What a user has to say: the number of integration steps."""
+        """Return the options that a user has to state: the number of integration steps."""
         return Options(ExplicitRungeKutta(RK4, steps=self.steps))
 
     def ocp(self) -> OCP:
-        """The problem as a user of the product states it."""
+        """State the problem as a user of the product does."""
         ocp = OCP(self.name, T=self.T, N=self.N)
         middle = np.mean(self.start, axis=0)
         x = [ocp.state(name, initial=float(value)) for name, value in zip(self.states, middle, strict=True)]

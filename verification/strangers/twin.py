@@ -1,4 +1,4 @@
-"""The twin of a stranger: multiple shooting with a Runge-Kutta scheme of its own, solved by IPOPT in every sample.
+"""The twin of a stranger is multiple shooting with an independent Runge-Kutta scheme, solved by IPOPT in every sample.
 
     python -m verification.strangers.twin --refresh
 
@@ -32,8 +32,11 @@ QUIET: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """A closed loop: its cost, the largest violation of a hard row in its scale, the distance of the last state from
-    the goal, samples that were not solved, and whether all states were finite."""
+    """An outcome has the cost of a closed loop, its violation, its distance, and its failures.
+
+    ``violation``: largest violation of a hard row in its scale; ``distance``: of the last state from the goal;
+    ``failed``: samples that were not solved; ``finite``: all states were finite.
+    """
 
     cost: float
     violation: float
@@ -43,7 +46,7 @@ class Outcome:
 
 
 class Twin:
-    """The plant, the cost and the NLP of a stranger."""
+    """A twin has the plant, the cost and the NLP of a stranger."""
 
     def __init__(self, stranger: Stranger) -> None:
         self.stranger = stranger
@@ -92,7 +95,7 @@ class Twin:
         self.solver = ca.nlpsol("twin", "ipopt", nlp, QUIET)
 
     def solve(self, start: Array, X: Array, U: Array) -> tuple[bool, float, Array, Array]:
-        """Whether IPOPT succeeds from the plan (N+1, nx), (N, nu); its cost and its plan."""
+        """Solve by IPOPT from the plan (N+1, nx), (N, nu); return whether it succeeds, its cost and its plan."""
         guess = np.concatenate([X.ravel(), U.ravel(), np.zeros(self._slacks)])
         found = self.solver(x0=guess, p=start, **self._bounds)
         w = np.asarray(found["x"]).ravel()
@@ -101,13 +104,13 @@ class Twin:
         return bool(self.solver.stats()["success"]), float(found["f"]), *plan
 
     def guess(self, start: Array) -> tuple[Array, Array]:
-        """The plan that stays at the start, with controls in the middle of their bounds or at 0 if that is inside."""
+        """Return the plan that stays at the start, with controls at 0 or the nearest bound."""
         s = self.stranger
         rest = [float(np.clip(0.0, *bounds)) for bounds in s.controls.values()]
         return np.tile(start, (s.N + 1, 1)), np.tile(np.array(rest), (s.N, 1))
 
     def run(self, number: int, nominal: bool = False) -> Outcome:
-        """The closed loop with IPOPT in every sample, from the shifted plan, or from the start if that fails."""
+        """Run the closed loop with IPOPT in every sample, from the shifted plan, or from the start if that fails."""
         s, loop = self.stranger, Loop(self, number, nominal)
         X, U = self.guess(loop.x)
         failed = 0
@@ -122,7 +125,7 @@ class Twin:
 
 
 class Loop:
-    """The plant in closed loop, and what is judged of it; ``nominal``: without the kick."""
+    """A loop simulates the plant and judges it; ``nominal``: without the kick."""
 
     def __init__(self, twin: Twin, number: int, nominal: bool = False) -> None:
         self._twin, self.x, self._nominal = twin, twin.stranger.initial(number), nominal
@@ -130,11 +133,11 @@ class Loop:
 
     @property
     def finite(self) -> bool:
-        """True if the state is finite."""
+        """Return True if the state is finite."""
         return bool(np.all(np.isfinite(self.x)))
 
     def apply(self, k: int, u: Array) -> None:
-        """Sample k with the control u."""
+        """Run sample k with the control u."""
         twin, (when, kick) = self._twin, self._twin.stranger.kick
         self._judge(k, u)
         self.x = np.asarray(twin.step(self.x, u)).ravel()
@@ -142,7 +145,7 @@ class Loop:
             self.x = self.x + np.asarray(kick, float)
 
     def follow(self, x: Array, u: Array) -> None:
-        """The samples (n + 1, nx), (n, nu) of something else."""
+        """Judge the samples (n + 1, nx), (n, nu) of another simulation."""
         for k, (state, control) in enumerate(zip(x, u, strict=False)):
             self.x = state
             self._judge(k, control)
@@ -151,11 +154,11 @@ class Loop:
     def _judge(self, k: int, u: Array) -> None:
         twin, (when, _) = self._twin, self._twin.stranger.kick
         self._cost += float(twin.stage(self.x, u))
-        if k != 0 and (self._nominal or k != when + 1):  # nothing can be done about a state into which the plant is put
+        if k != 0 and (self._nominal or k != when + 1):  # no control can change the state after a kick
             self._violation = max(self._violation, float(twin.excess(self.x, u)))
 
     def outcome(self, failed: int) -> Outcome:
-        """The loop so far."""
+        """Return the outcome of the loop so far."""
         distance = self._twin.stranger.distance
         there = 0.0 if distance is None else float(distance(self.x))
         return Outcome(self._cost, self._violation, there, failed, self.finite)
@@ -201,7 +204,7 @@ def _excess(limit: Limit, value: Any) -> Any:
 
 
 def _nodes(limit: Limit, nx: int, nu: int, N: int) -> range:
-    """Nodes at which a limit holds: with a control 0..N-1, of states alone 1..N."""
+    """Return the nodes at which a limit holds: 0..N-1 with a control, 1..N for states only."""
     if limit.at == "end":
         return range(N, N + 1)
     u = ca.SX.sym("u", nu)
@@ -211,7 +214,7 @@ def _nodes(limit: Limit, nx: int, nu: int, N: int) -> range:
 
 @cache
 def by_ipopt() -> dict[str, list[Outcome]]:
-    """The twins' loops, by problem and number; by "<name> nominal" those without a kick."""
+    """Return the twins' loops, by problem and number; by "<name> nominal" those without a kick."""
     found = json.loads(RESULTS.read_text(encoding="utf-8"))
     return {name: [Outcome(**row) for row in rows] for name, rows in found.items()}
 
@@ -225,7 +228,7 @@ def _loops(name: str) -> list[Outcome]:
 
 
 def refresh(names: list[str]) -> None:
-    """Compute the loops of these strangers anew."""
+    """Compute the loops of these strangers again."""
     found: dict[str, list[Any]] = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     with ProcessPoolExecutor(2) as pool:
         for name, outcomes in zip(names, pool.map(_loops, names), strict=True):
@@ -240,7 +243,7 @@ def _short(value: Any) -> Any:
 
 
 def main() -> None:
-    """The command line."""
+    """Run the command."""
     from verification.strangers.problems import STRANGERS
 
     command = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)

@@ -1,1 +1,1 @@
-"""Problems of the literature from random cold starts, ours and IPOPT's."""
+"""Problems of the literature are solved from random cold starts by us and by IPOPT."""

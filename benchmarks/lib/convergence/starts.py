@@ -1,4 +1,4 @@
-"""solve() from random cold starts, with default options, against what IPOPT found from the same first guess."""
+"""solve() starts cold with default options, and is compared with IPOPT from the same first guess."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PROBLEMS, LEAST = 12, 6
 
 
 def measure(report: Report, asked: Run) -> None:
-    """At a small scale some problems and some starts, which are drawn."""
+    """Measure all problems; at a small scale some problems and some starts, which are drawn."""
     chosen = [problem for _, problem in asked.some(problems(), PROBLEMS)]
     built = build_all((problem.make(), problem.options()) for problem in chosen)
     for problem, controller in zip(chosen, built, strict=True):
@@ -28,7 +28,7 @@ def measure(report: Report, asked: Run) -> None:
 
 
 def routes(report: Report, asked: Run) -> None:
-    """All problems by each of the two QP solvers among which qp=None chooses."""
+    """Measure all problems by each of the two QP solvers among which qp=None chooses."""
     for problem in asked.cases(problems()):
         numbers = [i for i, _ in asked.some(range(STARTS), LEAST)]
         theirs = by_ipopt()[problem.name]
@@ -43,7 +43,7 @@ def routes(report: Report, asked: Run) -> None:
 
 
 def report_problem(report: Report, name: str, theirs: list[Attempt], ours: list[Attempt]) -> None:
-    """Of a problem."""
+    """Report the figures of a problem."""
     pairs = [(h, m) for h, m in zip(theirs, ours, strict=True) if h.solved]
     both = [(h, m) for h, m in pairs if m.solved]
     report.add("IPOPT solves", len(pairs), "starts", case=name, n=len(theirs))

@@ -1,1 +1,1 @@
-"""Packages on emulated Cortex-M boards: agreement with the host, memory, stack, instructions, single precision."""
+"""Packages run on emulated Cortex-M boards: agreement with the host, memory, stack, instructions, single precision."""

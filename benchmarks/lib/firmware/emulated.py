@@ -1,4 +1,4 @@
-"""Replays on the boards: agreement with the host, stack against the certificate, instructions; certificates."""
+"""Replays on the boards are compared with the host and the certificates: controls, stack, instructions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COUNTED = ("crane", "cstr", "quadrotor", "cart_pole", "chain3")
 
 
 def boards(report: Report, asked: Run) -> None:
-    """Every loop on both boards."""
+    """Measure every loop on both boards."""
     samples = asked.share(SAMPLES, 20)
     for loop in asked.cases(loops()):
         for board, precision in asked.cases(BOARDS):
@@ -36,7 +36,7 @@ def boards(report: Report, asked: Run) -> None:
 
 
 def one(report: Report, loop: Loop, board: str, samples: int) -> None:
-    """A loop on a board."""
+    """Measure a loop on a board."""
     target = TARGETS[board]
     inputs, (name, sources) = recorded(loop, samples), package(loop, loop.options)
     certificate = certify(sources, name, target)
@@ -53,7 +53,7 @@ def one(report: Report, loop: Loop, board: str, samples: int) -> None:
 
 
 def bits(report: Report, asked: Run) -> None:
-    """Every loop on both boards with the elementary functions of the package: the controls of the host, bit for bit."""
+    """Compare controls with the host bit for bit, on both boards with the package's elementary functions."""
     samples = asked.share(SAMPLES, 20)
     for loop in asked.cases(loops()):
         for board, precision in asked.cases(BOARDS):
@@ -66,7 +66,7 @@ def bits(report: Report, asked: Run) -> None:
 
 
 def stack(report: Report, certificate: Certificate, verdict: Verdict, case: str) -> None:
-    """Painted stack of all entry points against the certificate."""
+    """Compare the painted stack of all entry points with the certificate."""
     used = verdict.run.stack
     over = [entry for entry, size in used.items() if size > certificate.stack_bytes[entry]]
     note = f"{case}: {', '.join(over)}" if over else case
@@ -77,7 +77,7 @@ def stack(report: Report, certificate: Certificate, verdict: Verdict, case: str)
 
 
 def mismatches(report: Report, certificate: Certificate, description: str, case: str) -> None:
-    """The struct of the certificate against the description."""
+    """Compare the struct of the certificate with the description."""
     stated = PackageDescription.from_json(description)
     wrong = certificate.struct_bytes != stated.dtype().itemsize
     wrong += certificate.struct_bytes != stated.report.ram_bytes
@@ -86,7 +86,7 @@ def mismatches(report: Report, certificate: Certificate, description: str, case:
 
 
 def instructions(report: Report, loop: Loop, verdict: Verdict, board: str) -> None:
-    """Median and worst of a sample, with the default options."""
+    """Report median and worst instructions of a sample, with the default options."""
     precision = "" if board == "cortex-m4f" else "_double"
     run, limit = verdict.run, INSTRUCTIONS.get(loop.name) if not precision else None
     key, note = f"{loop.name}_instructions{precision}", f"{board} -O2, emulated, default options"
@@ -95,7 +95,7 @@ def instructions(report: Report, loop: Loop, verdict: Verdict, board: str) -> No
 
 
 def counts(report: Report, asked: Run) -> None:
-    """Operations of the certificates: every function's against a count, every sample's against the worst case."""
+    """Compare the operations of certificates: every function's with a count, every sample's with the worst case."""
     samples = asked.share(SAMPLES, 20)
     for loop in asked.cases(loops()):
         if loop.name in COUNTED:

@@ -1,4 +1,4 @@
-"""The closed loops that are replayed on targets, as inputs recorded on the host."""
+"""Closed loops are recorded on the host as inputs for replays on targets."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ from nmpc_codegen.package.sources import Sources
 from verification.closed_loop import Scenario, disturbed
 from verification.robustness.work import Loop, closed_loops
 
-#: Loops that run on the boards; the others only have their single precision judged.
+#: Loops that run on the boards; of the others only the single precision is judged.
 ON_BOARDS = ("crane", "cstr", "bioreactor", "quadrotor", "cart_pole", "chain3")
 SAMPLES = 200
 
 #: Loops whose small package has smaller frames with a function per integration step.
 STEPPED = ("chain3", "bioreactor")
-#: Loops whose small package gives up the interior point, which takes over where the active set gives up a QP.
+#: Loops whose small package has no interior point fallback of the active-set method.
 ALONE = ("quadrotor",)
 
 
 def loops() -> list[Loop]:
-    """The loops of ON_BOARDS, with default options but for what their problem needs."""
+    """Return the loops of ON_BOARDS, with default options except where their problem needs others."""
     known = {loop.name: loop for loop in closed_loops()}
     return [known[name] for name in ON_BOARDS]
 
 
 def small(loop: Loop) -> Options:
-    """Options of a small real-time controller in single precision: without solve() and, where it is named, in STEPPED
-    with a function per integration step, in ALONE without the interior point behind the active set."""
+    """Return options of a small real-time controller in single precision without solve().
+
+    Loops in STEPPED have a function per integration step; loops in ALONE have no interior point fallback.
+    """
     options = real_time(loop)
     if loop.name in STEPPED:
         integrator = options.integrator or ExplicitRungeKutta()
@@ -42,12 +44,12 @@ def small(loop: Loop) -> Options:
 
 
 def smallest(loop: Loop) -> Options:
-    """The same with the goal "size": loops in the place of straight-line code, whatever stack they need."""
+    """Return the small options with the goal "size": loops instead of straight-line code, whatever stack they need."""
     return _alone(loop, replace(real_time(loop), goal="size"))
 
 
 def real_time(loop: Loop) -> Options:
-    """Options without solve(), in single precision, for a microcontroller, with libm."""
+    """Return options without solve(), in single precision, for a microcontroller, with libm."""
     return replace(loop.options, solve=False, precision="single", target="cortex-m4f", math="libm")
 
 
@@ -57,18 +59,18 @@ def _alone(loop: Loop, options: Options) -> Options:
 
 @cache
 def package(loop: Loop, options: Options) -> tuple[str, Sources]:
-    """Name and files of the package of a loop."""
+    """Return name and files of the package of a loop."""
     ocp = loop.make()
     return ocp.name, generate(ocp, options)
 
 
 def with_precision(loop: Loop, precision: Precision) -> Loop:
-    """The loop with the default options of its example in a precision, for a microcontroller, with libm."""
+    """Return the loop with the default options of its example in a precision, for a microcontroller, with libm."""
     return replace(loop, options=replace(loop.options, precision=precision, target="cortex-m4f", math="libm"))
 
 
 def events(scenario: Scenario, samples: int) -> list[Event]:
-    """The changes of the set point."""
+    """Return the changes of the set point."""
     found = []
     for k in range(0, samples if scenario.set_points else 0, scenario.period):
         y, y_N = scenario.set_points[k // scenario.period % len(scenario.set_points)]
@@ -77,7 +79,7 @@ def events(scenario: Scenario, samples: int) -> list[Event]:
 
 
 def disturbances(scenario: Scenario, controller: Controller) -> Disturbed:
-    """What happens to the plant at the first sample of every period."""
+    """Return the function that disturbs the plant at the first sample of every period."""
     random = np.random.default_rng(1)
 
     def at(k: int, x: Array) -> Array:
@@ -87,7 +89,7 @@ def disturbances(scenario: Scenario, controller: Controller) -> Disturbed:
 
 
 def recorded(loop: Loop, samples: int) -> Recording:
-    """The loop on the host, in the profile without contraction."""
+    """Record the loop on the host, in the profile without contraction."""
     controller = build(loop.make(), loop.options, profile="verify")
     scenario = loop.scenario
     changes, plant = events(scenario, samples), disturbances(scenario, controller.copy())

@@ -1,4 +1,4 @@
-"""Packages on the target riscv32: flash memory, and functions that they need besides those of math.h."""
+"""Packages for the target riscv32 are measured: flash memory, and functions that they need besides math.h."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from verification.quality import ALLOWED
 
 
 def cores(report: Report, asked: Run) -> None:
-    """The small controllers of all loops; linking them is a part of the certificate."""
+    """Measure the small controllers of all loops; the certificate includes linking them."""
     target = TARGETS["riscv32"]
     for loop in asked.cases(loops()):
         name, sources = package(loop, replace(small(loop), target=target.name))

@@ -1,4 +1,4 @@
-"""Flash memory, RAM and stack in single precision on the Cortex-M4F."""
+"""Flash memory, RAM and stack are measured in single precision on the Cortex-M4F."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ STACK = 2_500
 
 
 def forms(loop: Loop) -> dict[str, Options]:
-    """Name of a form -> its options: the default, the small real-time controller, the same with the goal "size"."""
+    """Return {form: its options}: the default, the small real-time controller, and it with the goal "size"."""
     return {"default": with_precision(loop, "single").options, "small": small(loop), "size": smallest(loop)}
 
 
 def sizes(report: Report, asked: Run) -> None:
-    """All loops in all forms, at both levels; the limits are for the small form at the better level."""
+    """Measure all loops in all forms, at both levels; the limits are for the small form at the better level."""
     for loop in asked.cases(loops()):
         for form, options in asked.cases(forms(loop).items()):
             name, sources = package(loop, options)
@@ -31,7 +31,7 @@ def sizes(report: Report, asked: Run) -> None:
 
 
 def add(report: Report, name: str, form: str, found: list[Certificate]) -> None:
-    """The figures of a form."""
+    """Report the figures of a form."""
     flash_limit, ram_limit = LIMITS.get(name, (None, None)) if form == "small" else (None, None)
     suffix = "" if form == "small" else f"_{form}"
     least = min(found, key=lambda c: c.flash_bytes)
@@ -49,5 +49,5 @@ def add(report: Report, name: str, form: str, found: list[Certificate]) -> None:
 
 
 def real_time_stack(certificate: Certificate) -> int:
-    """Stack of the entry points that a real-time controller calls; kkt() and the like are for supervision."""
+    """Return the stack of the entry points that a real-time controller calls, without kkt() and other supervision."""
     return max(size for entry, size in certificate.stack_bytes.items() if entry in REAL_TIME)

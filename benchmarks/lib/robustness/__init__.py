@@ -1,1 +1,1 @@
-"""What the benchmark of robustness is made of."""
+"""The benchmark of robustness has these parts."""

@@ -1,4 +1,4 @@
-"""Loops that come to rest: samples that are not OK, and decisions that depend on units."""
+"""Loops come to rest; samples that are not OK, and decisions that depend on units, are counted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ DRAWS = 200
 
 
 def measure(report: Report, asked: Run) -> None:
-    """Draws of the sweep, and every problem of it in other units."""
+    """Measure draws of the sweep, and every problem of it in other units."""
     for seed in range(asked.share(DRAWS)):
         package, out = at_rest.run(seed)
         report.add("wrong_at_rest", sum(out.wrong.values()), case=f"{package}, {out}", n=out.samples, limit=0)

@@ -1,4 +1,4 @@
-"""Cold starts and recovery of the augmented Lagrangian."""
+"""Cold starts and recovery of the augmented Lagrangian are measured."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ EPISODES, PART = 48, 0.95
 
 
 def measure(report: Report, asked: Run) -> None:
-    """Loops from cold plans, and episodes with one bad datum."""
+    """Measure loops from cold plans, and episodes with one bad datum."""
     count = max(LEAST, round(asked.scale * cold.STARTS))
     every: list[bool] = []
     far = 0
@@ -28,7 +28,7 @@ def measure(report: Report, asked: Run) -> None:
 
 
 def _recover(report: Report, each: int) -> None:
-    """Episodes whose controller is OK within so many samples, and stands where it would without the bad datum."""
+    """Count episodes whose controller is OK within the limit of samples, and returns to its undisturbed control."""
     step = len(candidates()) // len(augmented())  # of every subject, one candidate knows the program of the oracle
     chosen = [(step * i, candidate) for i, candidate in enumerate(augmented())]
     outcomes = in_processes(episodes.run, chosen, each)

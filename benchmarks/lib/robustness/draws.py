@@ -1,4 +1,4 @@
-"""Draws of loops that one full step per sample does not bring nearer, against solve() in every sample."""
+"""Loops that one full step per sample does not bring nearer are compared with solve() in every sample."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from nmpc_codegen import Options
 from verification.loops.flights import Judged, judge
 from verification.loops.plants import DRAWS, LOOPS, PROBLEMS
 
-#: As built, and as a board gets it.
+#: Options of the host and of a board.
 FORMS = {"as built": Options(), "board": Options(target="cortex-m7")}
-#: Samples that are not OK, and QPs per sample.
+#: Largest fraction of samples that are not OK, and most QPs per sample.
 NOT_OK = 0.05
 
 
 def measure(report: Report, asked: Run) -> None:
-    """Faults of loops by draw and form."""
+    """Report faults of loops by draw and form."""
     numbers = asked.cases(range(PROBLEMS))
     for form, options in FORMS.items():
         for draw in DRAWS:
@@ -27,7 +27,7 @@ def measure(report: Report, asked: Run) -> None:
 
 
 def _report(report: Report, case: str, found: list[Judged]) -> None:
-    """The loops with faults by name, and the figures of all."""
+    """Print the loops with faults by name, and report the figures of all."""
     loops = [(one.name, number, loop) for one in found for number, loop in enumerate(one.loops)]
     for name, number, loop in loops:
         if loop.faults:

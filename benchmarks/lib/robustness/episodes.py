@@ -1,4 +1,4 @@
-"""One bad datum, then good ones: controllers that do not find back."""
+"""Controllers that do not recover from one bad datum are counted."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ LEAST = 8  # controllers
 
 
 def measure(report: Report, asked: Run) -> None:
-    """All controllers take the same share; at a small scale some of them are drawn."""
+    """Measure all controllers with the same number of episodes; at a small scale some of them are drawn."""
     chosen = asked.some(candidates(), LEAST)
     count = max(1, math.ceil(1.05 * EPISODES * asked.scale / len(chosen)))
     report_outcomes(report, [c for _, c in chosen], in_processes(run, chosen, count))
 
 
 def report_outcomes(report: Report, chosen: list[Candidate], outcomes: list[Outcome]) -> None:
-    """Sums, and one line per controller that did not find back or found something else."""
+    """Report sums, and one line per controller that did not recover or found another solution."""
     total = sum(o.episodes for o in outcomes)
     report.add("controllers", len(chosen), case="all")
     report.add("episodes", total, case="all")

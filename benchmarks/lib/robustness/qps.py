@@ -1,4 +1,4 @@
-"""Random QPs of 13 classes through every QP solver of ours, in both precisions."""
+"""Random QPs of 13 classes are solved by every QP solver of ours, in both precisions."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from verification.qp.verdicts import (
     take_packages,
 )
 
-#: QPs of a class from which on its share means something.
+#: Least number of QPs of a class for which its share is significant.
 ENOUGH = 1000
 
 
 def measure(report: Report, asked: Run) -> None:
-    """Every class has the same number of QPs; at a small scale they have some of the shapes, which are drawn."""
+    """Measure the same number of QPs of every class; at a small scale they have some of the shapes, which are drawn."""
     per_class = max(1, math.ceil(QPS * asked.scale / len(CLASSES)))
     others = [shape for shape in SHAPES if shape not in CROWDED]
     shapes = [shape for group in (CROWDED, others) for _, shape in asked.some(group, 1)]
@@ -41,7 +41,7 @@ def measure(report: Report, asked: Run) -> None:
         for first in range(0, per_class, CHUNK)
     ]
     tallies: Tallies = {}
-    spawn = multiprocessing.get_context("spawn")  # no copies of the threads that have compiled
+    spawn = multiprocessing.get_context("spawn")  # no copies of the compiling threads
     with ProcessPoolExecutor(2, spawn, initializer=take_packages, initargs=(controllers(shapes),)) as pool:
         for found in pool.map(run_chunk, jobs):
             for key, tally in found.items():
@@ -50,14 +50,14 @@ def measure(report: Report, asked: Run) -> None:
 
 
 def numbers_of(kind: str, shapes: list[Shape], size: int, asked: Run) -> list[int]:
-    """The first numbers of a class that have these shapes, from a start that depends on the seed."""
+    """Return the first numbers of a class that have these shapes, from a start that depends on the seed."""
     known = shapes_of(kind)
     first = 0 if asked.scale >= 1 else 100_000 * asked.seed
     return list(islice((n for n in count(first) if known[n % len(known)] in shapes), size))
 
 
 def report_tallies(report: Report, tallies: Tallies) -> None:
-    """A line per solver and precision, one per class whose share of unsolved QPs is beyond its limit."""
+    """Report a line per solver and precision, and one per class whose share of unsolved QPs is beyond its limit."""
     for solver in SOLVERS:
         for precision in SCALARS:
             chosen = {kind: t for (kind, s, p), t in tallies.items() if (s, p) == (solver, precision)}
@@ -87,7 +87,7 @@ def _watched(kind: str, precision: str) -> bool:
 
 
 def _print_examples(tallies: Tallies) -> None:
-    """How to see answers again: all that are wrong, then those of what is most frequent."""
+    """Print how to replay answers: all wrong ones, then the most frequent failures."""
     ranked = sorted(tallies, key=lambda key: (tallies[key].false_ok, tallies[key].unsolved), reverse=True)
     wrong = sum(tallies[key].false_ok > 0 for key in ranked)
     for kind, solver, precision in ranked[: max(wrong, 3)]:

@@ -1,4 +1,4 @@
-"""The contract of a return under hostile data: controls outside of their bounds, unknown statuses."""
+"""Returns under hostile data are checked: controls outside of their bounds, unknown statuses."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ LEAST = 8  # controllers
 
 
 def measure(report: Report, asked: Run) -> None:
-    """All controllers take the same share; at a small scale some of them are drawn."""
+    """Measure all controllers with the same number of returns; at a small scale some of them are drawn."""
     chosen = asked.some([*candidates(), *augmented(), *shooting()], LEAST)
     count = max(1, math.ceil(RETURNS * asked.scale / len(chosen)))
     report_outcomes(report, [c for _, c in chosen], in_processes(run, chosen, count))
 
 
 def report_outcomes(report: Report, chosen: list[Candidate], outcomes: list[Outcome]) -> None:
-    """Sums, and a line for every violation."""
+    """Report sums, and a line for every violation."""
     total = sum(o.returns for o in outcomes)
     report.add("controllers", len(chosen), case="all")
     report.add("returns", total, case="all")

@@ -1,4 +1,4 @@
-"""Operations of the samples of closed loops: the worst against the median, and soft rows against none."""
+"""Operations of the samples of closed loops are counted: the worst against the median, soft rows against none."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from verification.robustness.work import (
 
 
 def worst_over_median(report: Report, asked: Run) -> None:
-    """All loops of the other benchmarks."""
+    """Measure all loops of the other benchmarks."""
     for loop in asked.cases(closed_loops()):
         steps = steps_of(loop, asked.scale)
         recorded = record(loop, steps, [])
@@ -32,7 +32,7 @@ def worst_over_median(report: Report, asked: Run) -> None:
 
 
 def soft_over_hard(report: Report, asked: Run) -> None:
-    """Loops with soft rows, then without: bounds of the soft rows opened at run time, everything else alike."""
+    """Measure loops with soft rows, then without: their bounds are opened at run time, and all else is alike."""
     for loop in asked.cases(soft_loops()):
         steps = steps_of(loop, asked.scale)
         opened = soft_rows(build(loop.make(), loop.options, profile="fast"))
@@ -51,6 +51,6 @@ def soft_over_hard(report: Report, asked: Run) -> None:
 
 
 def measure(report: Report, asked: Run) -> None:
-    """Both ratios."""
+    """Measure both ratios."""
     worst_over_median(report, asked)
     soft_over_hard(report, asked)

@@ -1,1 +1,1 @@
-"""Times, sizes, instructions and counts of nine closed loops; what the choices between forms cost."""
+"""Nine closed loops are measured: times, sizes, instructions, counts, and the cost of the choices between forms."""

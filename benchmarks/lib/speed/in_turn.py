@@ -1,4 +1,4 @@
-"""Closed loops of several programs in the same run: each round runs all of them once."""
+"""Closed loops of several programs run in turn: each round runs all of them once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from verification.closed_loop import Timing
 def in_turn(
     programs: Sequence[Callable[[], Timing]], rounds: int, first: Callable[[], None] = lambda: None
 ) -> list[list[Timing]]:
-    """Timings of every program, which a call runs once; rounds alternate in their order and begin with ``first``."""
+    """Return the timings of every program; rounds alternate in their order and begin with ``first``."""
     times: list[list[Timing]] = [[] for _ in programs]
     for k in range(rounds):
         first()

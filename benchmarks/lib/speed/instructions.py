@@ -1,4 +1,4 @@
-"""Instructions of a sample: on this machine without AVX-512, by callgrind; on an emulated Cortex-M4F."""
+"""Instructions of a sample are counted: here without AVX-512 by callgrind, and on an emulated Cortex-M4F."""
 
 from __future__ import annotations
 
@@ -21,13 +21,16 @@ from verification.closed_loop import compile_driver
 from verification.robustness.work import Loop
 
 M4F, AVX2 = TARGETS["cortex-m4f"], TARGETS["x86-64-v3"]
-#: Portable C as build() compiles it, and this machine's target, both as far as valgrind knows this machine.
+#: Portable C as build() compiles it, and this machine's target, both without instructions unknown to valgrind.
 AS_BUILT, OF_NATIVE = "as built, AVX2", "native, AVX2"
-SAMPLES = 40  # at every scale, as a mean depends on them
+SAMPLES = 40  # at every scale, as the mean depends on this number
 
 
 def measure(report: Report, asked: Run) -> None:
-    """portable, portable and native without AVX-512: mean over the samples; M4F: single precision, -O2."""
+    """Measure the mean instructions over the samples.
+
+    Forms are portable C, portable and native C without AVX-512, and the M4F in single precision with -O2.
+    """
     forms = ("portable", *([AS_BUILT] if runs(AVX2) else ()), OF_NATIVE) if callgrind.available() else ()
     loops = [(loop, form) for loop in asked.cases(LOOPS) for form in forms]
     jobs = [(loop, form, package_of(without_avx512(loop) if form == OF_NATIVE else loop)) for loop, form in loops]

@@ -1,4 +1,4 @@
-"""The nine closed loops whose times, sizes and counts are compared, and the forms in which their C is compiled."""
+"""Times, sizes and counts of nine closed loops are compared, in several forms of their C."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ LOOPS = _loops()
 
 
 def for_target(loop: Loop, target: str) -> Loop:
-    """The loop with its package for a target, "native" for this machine's."""
+    """Return the loop with its package for a target, "native" for this machine's."""
     return replace(loop, options=replace(loop.options, target=target))
 
 
 @cache
 def module_of(loop: Loop) -> CModule:
-    """The package of a loop."""
+    """Return the package of a loop."""
     return c_harness.module_of(loop.make(), loop.options)
 
 
 @cache
 def package_of(loop: Loop) -> Sources:
-    """Its files."""
+    """Return the files of a loop's package."""
     return text_of(module_of(loop))
 
 
 def without_avx512(loop: Loop) -> Loop:
-    """The loop for this machine as far as valgrind knows it, which is not AVX-512."""
+    """Return the loop for this machine without AVX-512, which valgrind does not know."""
     return for_target(loop, "x86-64-v3" if native().avx512 else NATIVE)

@@ -1,5 +1,7 @@
-"""The closed loops as programs, in three forms: portable C as build() compiles it, for this processor; portable C for
-any processor; C for the target of this machine.
+"""The closed loops are compiled as programs in three forms.
+
+The forms are portable C as build() compiles it, for this processor; portable C for any processor; C for the target of
+this machine.
 
     python -m benchmarks.lib.speed.programs FOLDER
 
@@ -29,7 +31,7 @@ RUNS = 3  # of a loop in a process
 
 
 def forms() -> Mapping[str, tuple[str, tuple[str, ...]]]:
-    """Form -> target of the package, and flags of the compiler besides those of the target."""
+    """Return {form: (target of the package, flags of the compiler besides those of the target)}."""
     fast = PROFILES["fast"]
     return {
         BUILT: (PORTABLE.name, fast.all_flags()),
@@ -40,7 +42,7 @@ def forms() -> Mapping[str, tuple[str, tuple[str, ...]]]:
 
 @dataclass(frozen=True)
 class Program:
-    """A loop in a form, compiled; ``arguments`` of closed_loop.c after runs and steps."""
+    """A program is a compiled loop in a form; ``arguments`` are those of closed_loop.c after runs and steps."""
 
     loop: str
     form: str
@@ -51,16 +53,16 @@ class Program:
 
     @property
     def case(self) -> str:
-        """Its line on the page."""
+        """Return the name of its line on the page."""
         return f"{self.loop}, {self.form}"
 
     def run(self) -> Timing:
-        """The loop, some times from its start."""
+        """Run the loop several times from its start."""
         return run_program(Path(self.path), self.arguments, runs=RUNS, steps=self.steps)
 
 
 def compile_programs(folder: Path, loops: Sequence[Loop] = LOOPS) -> list[Program]:
-    """Write all units one after the other, compile two at a time."""
+    """Write all units one after the other, and compile two at a time."""
     jobs: list[tuple[Program, Future[Path]]] = []
     with ThreadPoolExecutor(2) as pool:
         for loop in sorted(loops, key=lambda loop: -len(loop.scenario.x0)):
@@ -81,12 +83,12 @@ def compile_programs(folder: Path, loops: Sequence[Loop] = LOOPS) -> list[Progra
 
 
 def read_programs(folder: Path) -> list[Program]:
-    """What main() has compiled there."""
+    """Read the programs that main() has compiled there."""
     return [Program(**entry) for entry in json.loads((folder / INDEX).read_text(encoding="utf-8"))]
 
 
 def main() -> None:
-    """Compile into the folder that is named."""
+    """Compile into the given folder."""
     folder = Path(sys.argv[1])
     found = [asdict(program) for program in compile_programs(folder)]
     (folder / INDEX).write_text(json.dumps(found, indent=1), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The reference kernel, whose time carries limits and peers' figures from one machine to another."""
+"""The time of the reference kernel converts limits and peers' figures from one machine to another."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ REFERENCE = 24.0 / 0.878
 
 
 def reference_kernel_us() -> float:
-    """Least time (us) of reference.c, gcc -O2, on one core."""
+    """Return the least time (us) of reference.c, gcc -O2, on one core."""
     core = pinned_core()
     with tempfile.TemporaryDirectory() as folder:
         program = Path(folder, "kernel")

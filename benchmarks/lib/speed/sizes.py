@@ -1,4 +1,4 @@
-"""Bytes of struct, code and stack in single precision on a Cortex-M4F, and exact counts of the packages' operations."""
+"""Bytes of struct, code and stack are measured in single precision on a Cortex-M4F, and operations are counted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nmpc_codegen.targets import TARGETS
 
 
 def sizes(report: Report, asked: Run) -> None:
-    """struct, code, stack with the default options and without solve(), -O2; struct in double precision."""
+    """Measure struct, code, stack with the default options and without solve(), -O2; struct in double precision."""
     for loop in asked.cases(LOOPS):
         double = module_of(loop).description.report.ram_bytes
         report.add("struct, double", double, "B", case=loop.name, profile="")
@@ -30,7 +30,7 @@ def sizes(report: Report, asked: Run) -> None:
 
 
 def counts(report: Report, asked: Run) -> None:
-    """Operations of the linearisation and of the worst sample, from the text; characters."""
+    """Count operations of the linearisation and of the worst sample from the text, and characters."""
     for loop in asked.cases(LOOPS):
         module = module_of(loop)
         stated = module.description.report

@@ -1,4 +1,4 @@
-"""Times of a sample and of its feedback phase, in the three forms of programs.py, and against peers.
+"""Times of a sample and of its feedback phase are measured in the three forms of programs.py, and against peers.
 
 Total and feedback: minimum over the rounds of the median over the steps. Worst: the same of the largest total of a
 step, where the total of a step is its minimum over the runs of a round, which are all alike. The ratio to the best peer
@@ -30,14 +30,14 @@ PEERS = {
     "chain7": 836.0,
     "chain5_N160": 2107.0,
 }
-ROUNDS, LEAST = 20, 5  # at scale 1, and at least
+ROUNDS, LEAST = 20, 5  # rounds at scale 1, and least number of rounds
 KERNEL = "reference kernel"
 
 
 def measure(report: Report, run: Run) -> None:
-    """total, feedback, worst/median, peers, failed, QP iterations of every loop in every form.
+    """Measure total, feedback, worst/median, peers, failed, QP iterations of every loop in every form.
 
-    A round runs all programs once, so that a slow minute of the machine costs every program some rounds, none all.
+    A round runs all programs once, so that a slow minute of the machine affects some rounds of every program.
     """
     theirs = {program.case: program for program in run.base_programs}
     with tempfile.TemporaryDirectory() as folder:

@@ -1,7 +1,7 @@
-"""Where the time of a sample goes: shares of its functions, by perf or, without it, by callgrind's instructions.
+"""The shares of functions in the time of a sample are measured by perf, or by callgrind's instructions.
 
-Both need no change of the code that is measured, but functions that are called once stay functions, so that they have
-a share of their own.
+The measured code is the same, except that functions that are called once stay functions, so that they have a share of
+their own.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LEAST = 0.005
 
 
 def show(name: str) -> None:
-    """Print the table of one loop, for the target of this machine. RuntimeError if there is no tool."""
+    """Print the table of one loop, for the target of this machine; raise RuntimeError if there is no tool."""
     loop = next(loop for loop in LOOPS if loop.name == name)
     with tempfile.TemporaryDirectory() as folder:
         if shutil.which("perf"):
@@ -77,7 +77,7 @@ OUTSIDE = re.compile(r"main|ascending|microseconds|msort|clock_gettime|printf|st
 
 
 def _shares(found: Iterable[tuple[str, str]]) -> list[tuple[str, float]]:
-    """Functions of the controller and their shares, largest first."""
+    """Return the functions of the controller and their shares, largest first."""
     counts: dict[str, int] = {}
     for count, symbol in found:
         name = symbol.split(".")[0]
