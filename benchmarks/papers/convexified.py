@@ -126,7 +126,7 @@ def compared(run: Run) -> Exhibit:
     return Exhibit(
         "Section I",
         "the augmented Lagrangian beside convexified real-time iterations",
-        "differs",
+        "differs from",
         "The paper grants the mirrored Hessian its efficiency and misses a proof of stability. On both problems "
         "exact Hessians, mirrored or projected, lose less than the augmented Lagrangian with default options, and "
         "all but one take less time; it needs less memory on the long horizon (N = 200) and more on the short one "

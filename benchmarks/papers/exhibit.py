@@ -49,11 +49,11 @@ class Check:
 
 @dataclass(frozen=True)
 class Exhibit:
-    """``place``: its place in the paper; ``verdict`` and one sentence with the numbers of both."""
+    """An exhibit belongs to a ``place`` in the paper; its ``sentence`` gives the numbers of both."""
 
     place: str
     title: str
-    verdict: Literal["agrees", "contradicts", "differs", "ours"]
+    verdict: Literal["agrees with", "contradicts", "differs from", "extends"]
     sentence: str
     tables: Sequence[Table] = ()
     pictures: Sequence[str] = ()
@@ -61,7 +61,7 @@ class Exhibit:
     checks: Sequence[Check] = ()
 
     def __str__(self) -> str:
-        parts = [f"### {self.place}: {self.title}", f"**{self.verdict.capitalize()}.** {self.sentence}"]
+        parts = [f"### {self.place}: {self.title}", f"**Our result {self.verdict} the paper.** {self.sentence}"]
         parts += map(str, self.tables)
         parts += [f"![{self.place}: {self.title}]({picture})" for picture in self.pictures]
         parts += [f"```c\n{self.code}\n```"] if self.code else []

@@ -56,7 +56,7 @@ def table_1(run: Run) -> Exhibit:
     return Exhibit(
         "Table 1",
         "phases of a sample of the crane",
-        "differs",
+        "differs from",
         f"A sample takes {first.us:.2g} us here (paper: 95 us at 2.8 GHz, 82 of them preparation). Integration and "
         f"condensing are {first.share('integration', 'condensing')} of its instructions (81 %), the QP "
         f"{first.share('QP')} (13 %). Without x_N = 0 it takes {second.less(first)} fewer instructions (9 % less "
@@ -104,10 +104,10 @@ def table_2(run: Run) -> Exhibit:
     return Exhibit(
         "Table 2",
         "phases of a sample of the stirred tank reactor",
-        "differs",
+        "differs from",
         "The paper's times are of its worst sample, ours are mean instructions and the median time of a loop. The "
-        f"jump to the set point out of reach takes {dense.most(1)} working-set changes (paper: 21), that back "
-        f"{dense.most(2)}; the solver on stages, which the compiler picks by its operation counts, takes "
+        f"jump to the set point out of reach takes {dense.most(1)} working-set changes (paper: 21), the "
+        f"jump back takes {dense.most(2)}; the solver on stages, which the compiler chooses by operation counts, takes "
         f"{chosen.most(1)} and {chosen.most(2)}. A change costs {price} of a median sample in the loop without state "
         "bounds (paper, with them: 1.6 % of the worst one). Samples whose state bounds are active add curvature of "
         "the exact Hessian, which the paper's do not have.",
@@ -126,7 +126,7 @@ def figure_5(_: Run) -> Exhibit:
     return Exhibit(
         "Fig. 5",
         "twelve lines of generated code, the initial value embedding",
-        "differs",
+        "differs from",
         "The paper avoids loops where reasonable and calls its code hard to read; here the embedding is loops of "
         "fixed length over named members.",
         code="\n".join(lines[:12]),
@@ -157,7 +157,7 @@ def figure_6(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 6",
         "closed loop of the stirred tank reactor",
-        "agrees",
+        "agrees with",
         "The loop reaches set points 1 and 3 and stays at the bounds for 2. Between the nodes of a grid of 150 s "
         f"the plant is {max(low[1], 0):.2g} K below a bound, on the refined grid {max(low[0], 0):.1g} K.",
         pictures=[picture],
@@ -194,11 +194,11 @@ def histogram(run: Run) -> Exhibit:
     return Exhibit(
         "Section 3.3",
         "operations of the samples of Fig. 6, active set beside interior point",
-        "agrees" if interior < active else "contradicts",
+        "agrees with" if interior < active else "contradicts",
         "The paper says that an interior point takes nearly constant times, and an active set less, but hard to "
         f"predict ones. Here the worst sample takes {interior:.1f} times the operations of the median with the "
-        f"interior point, {active:.1f} and {ratios['dense active set']:.1f} times with active sets: all of them "
-        "start warm.",
+        f"interior point, {active:.1f} and {ratios['dense active set']:.1f} times with active sets, and "
+        "all of them start warm.",
         tables=[Table(("median, 1000", "worst, 1000", "worst / median"), rows)],
         pictures=[
             save(figure, run, "h11_histogram", "section 3.3: all three start warm and vary, unlike in the paper")

@@ -42,7 +42,7 @@ def figure_1(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 1",
         "input of the bioreactor",
-        "differs",
+        "differs from",
         "The loop runs periodically between both bounds, as in the paper, which prints 3.08 g/(L h) between the "
         f"best steady state (3.0; ours {STEADY}) and a periodic trajectory of another paper (3.11). The optimum is "
         f"{OPTIMUM} with an average feed of exactly 32.9, 3.0740 with at most 32.9 and 3.71 without a limit; the "
@@ -76,7 +76,7 @@ def figure_2(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 2",
         "operations of the samples and cumulative conjugate gradients",
-        "agrees",
+        "agrees with",
         f"{rows[0][1]:.1f} conjugate gradients per sample are few, as the paper says of its banded preconditioner of "
         "10 bands; ours is a block Cholesky factorisation. It prints an average of 213 us.",
         tables=[Table(("conjugate gradients per sample", "operations, median", "operations, worst"), rows)],
@@ -120,11 +120,11 @@ def theorem_4_2(run: Run) -> Exhibit:
     return Exhibit(
         "Theorem 4.2",
         "distance of the iterates from the solution over M and rho",
-        "differs",
+        "differs from",
         "On the crane ten times the penalty divides the mean distance of the controls from the solution by "
         f"{' and '.join(f'{gain:.1f}' for gain in gains)}; the bound has terms in 1/rho. M changes it by "
-        f"{spread:.1%} at most: one Newton step nearly minimises the augmented Lagrangian, whose multipliers are "
-        "what is off.",
+        f"{spread:.1%} at most: one Newton step nearly minimises the augmented Lagrangian, whose "
+        "multipliers cause the distance.",
         tables=[Table([f"M = {m}" for m in counts], list(lines), "mean of max abs(u - u*), m/s^2")],
         pictures=[save(figure, run, "hsj_theorem_4_2", "Theorem 4.2: 1/rho counts, M does not")],
     )
@@ -145,7 +145,7 @@ def corollary_4_1(run: Run) -> Exhibit:
     return Exhibit(
         "Corollary 4.1",
         "error over the sampling period",
-        "agrees",
+        "agrees with",
         f"On the crane with M = 3 and rho = 100 the planned accelerations stay within {max(worst):.2g} m/s^2 of the "
         "optimal ones at all sampling periods; the largest distance does not fall steadily with them.",
         tables=[
@@ -193,7 +193,7 @@ def growth(run: Run) -> Exhibit:
     return Exhibit(
         "Section VI",
         "growth of the work with the horizon and the states",
-        "differs",
+        "differs from",
         f"Operations of a chain of masses grow with N to the power {first:.2f}, but with nx to the powers "
         f"{', '.join(f'{each:.1f}' for each in last)} from size to size; the paper says that the complexity scales "
         "favourably with horizon and dimensions, and prints no figures.",

@@ -78,7 +78,7 @@ def table_1(run: Run) -> Exhibit:
     return Exhibit(
         "Table I",
         "products and memory of three sweeps (TSP) and of forward over adjoint (FOA)",
-        "agrees",
+        "agrees with",
         f"For dense derivatives and nz = {z[-1]} FOA takes {last['foa products'][0] / last['tsp products'][0]:.2f} "
         f"times the products of TSP (formulas: {last['foa products'][1] / last['tsp products'][1]:.2f}) and "
         f"{saved:.1f} times its memory (formulas: {last['foa memory'][1] / last['tsp memory'][1]:.1f}), as TSP also "
@@ -125,8 +125,8 @@ def table_3(run: Run) -> Exhibit:
         f"take {spans[2]} times as long, where the paper measures more than twice. Products alone cannot give that: "
         "the formulas of Table I say 4/3 at most, and the propagation of H is only a part of an interval, whose "
         f"derivatives of f both share. Nor does TSP save memory here ({spans[3]}): with few steps the factors of a "
-        "whole step weigh more; it does for many steps and dense derivatives. The paper's longest step takes 193 "
-        "us. The loop has no periodicity.",
+        "whole step dominate; TSP saves memory for many steps and dense derivatives. The paper's longest step takes "
+        "193 us. The loop has no periodicity.",
         tables=[
             Table(("integration", "mirroring", "condensing", "QP", "rest", "sample"), rows),
             Table(
@@ -188,7 +188,7 @@ def figure_1(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 1",
         "closed loop of the bioreactor with a jump at 144 h",
-        "agrees",
+        "agrees with",
         f"The loop finds an orbit of the same productivity: {before:.4f} g/(L h) before the jump, {after[0]:.4f} and "
         f"{after[1]:.4f} in the last 48 h ({OPTIMUM:.4f} is optimal for an average feed of 32.9); {failed} of "
         f"{2 * samples} samples are not OK.",
@@ -227,10 +227,10 @@ def remark_1(run: Run) -> Exhibit:
     return Exhibit(
         "Remark 1",
         "mirroring, projecting, and neither, from perturbed starts",
-        "differs",
+        "differs from",
         f"Of {feasible.sum()} starts that any scheme solves, full steps converge from {mirrored} with mirrored "
-        f"stages, {projected} with projected ones and {none} without regularisation: as the paper says, it takes no "
-        "line search. But mirroring is hardly more reliable than projecting, and takes more iterations "
+        f"stages, {projected} with projected ones and {none} without regularisation: as the paper says, no line "
+        "search is needed. But mirroring is hardly more reliable than projecting, and takes more iterations "
         f"({mean['mirrored stages']:.1f} and {mean['projected stages']:.1f}).",
         tables=[Table((*(f"X, S, P +- {s:.0%}" for s in SPREADS), "iterations, mean"), rows)],
     )

@@ -39,7 +39,7 @@ def figure_6_14(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 6.14",
         "heat equation, 50 states",
-        "agrees",
+        "agrees with",
         "Two warm places flow together, and a controlled end sends damped waves; the last state differs by "
         f"{error:.0e} from powers of the matrix of a step.",
         pictures=[save(figure, run, "t09_figure_6_14", "Fig. 6.14")],
@@ -59,7 +59,7 @@ def figure_6_15(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 6.15",
         "integration of sensitivities over the states of the rod",
-        "agrees",
+        "agrees with",
         f"Algorithm 6.7 grows with nx to the power {powers[0]:.2f}, 6.8 with {powers[1]:.2f}; with N = 10 and two "
         f"(thesis: one) controls 6.8 takes fewer operations from {better} states on.",
         pictures=[save(figure, run, "t09_figure_6_15", "Fig. 6.15: 6.8 wins with many states, as in the thesis")],
@@ -82,7 +82,7 @@ def memory(run: Run) -> Exhibit:
     return Exhibit(
         "Section 6.7",
         f"memory of single and multiple shooting with {states} states and two controls",
-        "ours",
+        "extends",
         f"Adjoints need no matrix of the model: {rows[0][1]:.0f} kB instead of {rows[1][1]:,.0f} kB.",
         tables=[Table(("struct, kB", "sample, us"), rows)],
     )

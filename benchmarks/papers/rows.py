@@ -61,7 +61,7 @@ def figure_7_1(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 7.1",
         "barrier functions, recentred round a trajectory",
-        "agrees",
+        "agrees with",
         f"B has its minimum at 0.5 and displaces a set point by up to {np.abs(displaced(points, 0.05)).max():.2g} even "
         f'with a weight of .05; `AdjointShooting(rows="barrier")`, whose barriers are recentred in every sample where '
         f"the plan ends, comes to rest within {worst:.0e} of all of them.",
@@ -108,7 +108,7 @@ def figure_7_2(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 7.2",
         "approximations of max(t, 0) and of the unit step",
-        "agrees",
+        "agrees with",
         "The error of the maximum is log(2) / alpha at most, at t = 0; the generated code spells (7.10) with log1p "
         "and exp(-alpha |t|), which do not overflow.",
         pictures=[save(figure, run, "t09_figure_7_2", "Fig. 7.2")],
@@ -143,7 +143,7 @@ def figure_7_3(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 7.3",
         "optimal plans with different penalties",
-        "differs",
+        "differs from",
         "With sums over nodes the rows are violated for mu = 10 and hold for mu = 20: the largest multipliers of "
         f"IPOPT's hard rows are {largest[0]:.1f} for cB and {largest[1] * 5:.1f} for T, which weighs 5, so that mu "
         f"has to exceed {largest.max():.1f}; controls differ by {error:.1e} from IPOPT's. With the integral (7.16), "
@@ -205,7 +205,7 @@ def closed_loops(run: Run) -> Exhibit:
     return Exhibit(
         "Section 7.4, closed loops",
         "treatments of output rows at one sample's steps",
-        "ours",
+        "extends",
         "The thesis optimises single plans. In closed loops with the steps of one sample each, multipliers of rows "
         "cost least; a loss can be negative, as rows are exceeded a little and as converged plans of a finite "
         "horizon do not minimise the cost of the loop.",

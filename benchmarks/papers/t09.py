@@ -38,7 +38,7 @@ def figure_6_3(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 6.3",
         "solution of the discrete model (6.31), and its gradient",
-        "agrees",
+        "agrees with",
         f"Forward and adjoint gradients differ by {worst:.0e} from CasADi's of the whole simulation (thesis: 1e-16 "
         f"between them), those of finite differences by {errors['finite_differences']:.0e}.",
         pictures=[save(figure, run, "t09_figure_6_3", "Fig. 6.3")],
@@ -63,8 +63,8 @@ def figure_6_4(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 6.4",
         "operations of the gradient over the horizon",
-        "agrees",
-        f"They grow with N to the power {slopes['adjoint']:.2f} by the adjoint method, {slopes['forward']:.2f} "
+        "agrees with",
+        f"Operations grow with N to the power {slopes['adjoint']:.2f} by the adjoint method, {slopes['forward']:.2f} "
         f"forward and {slopes['finite differences']:.2f} by finite differences (thesis: N, N^2, N^2).",
         pictures=[
             save(
@@ -95,7 +95,7 @@ def figure_6_6(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 6.6",
         "steady states of the Van de Vusse reactor",
-        "agrees",
+        "agrees with",
         f"cB has a maximum over u1; at both set points of section 7.4 cB and T are within {off:.2g} mol/m^3 and K of "
         "the rounded values.",
         pictures=[save(figure, run, "t09_figure_6_6", "Fig. 6.6: cB has a maximum over u1, as in the thesis")],
@@ -121,7 +121,7 @@ def figures_6_7_to_6_9(run: Run) -> Exhibit:
     return Exhibit(
         "Figs. 6.7, 6.8, 6.9",
         "simulation of the reactor, sensitivities with respect to states and controls",
-        "agrees",
+        "agrees with",
         "Inputs and initial state are those of the thesis, which prints no numbers; A_n-1 ... A_1 B_0 differs by "
         f"{error:.0e} from CasADi's derivative of the whole simulation.",
         pictures=[save(figure, run, "t09_figure_6_7", "Figs. 6.7, 6.8, 6.9")],
@@ -145,8 +145,8 @@ def figure_6_10(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 6.10",
         "operations of the impulse response matrix over the horizon",
-        "agrees",
-        f"Powers of N: {', '.join(f'{word} {slope:.2f}' for word, slope in slopes.items())} (thesis: 2, 2, 2, 3).",
+        "agrees with",
+        f"The work grows as N^p: {', '.join(f'{way} {p:.2f}' for way, p in slopes.items())} (thesis: 2, 2, 2, 3).",
         pictures=[save(figure, run, "t09_figure_6_10", "Fig. 6.10: N^2, N^3 without structure, as in the thesis")],
     )
 
@@ -172,7 +172,7 @@ def table_6_7(run: Run) -> Exhibit:
     return Exhibit(
         "Table 6.7, Figs. 6.11, 6.12, 6.13",
         "integration of sensitivities over N, t_f and T_s",
-        "differs",
+        "differs from",
         "With fixed steps of one length the work grows as the thesis expects; its own times do so in Fig. 6.13 "
         "alone, as in Figs. 6.11 and 6.12 CVODES starts over with small steps at every sample.",
         tables=[
@@ -197,12 +197,12 @@ def tables_6_3_and_6_4(_: Run) -> Exhibit:
     return Exhibit(
         "Tables 6.3, 6.4",
         "operations of the algorithms for the gradient and for the impulse response matrix",
-        "agrees",
+        "agrees with",
         "For a gradient, and for one row of the matrix, adjoint products, which the thesis does not consider, take "
-        "fewest operations on all four problems. Of its own methods the adjoint one does so on the first three; on "
-        "the rod finite differences and 6.8 beat it, as 6.7 integrates nx (nx + nu) sensitivities. For the whole "
-        "matrix forward and adjoint are near each other, and on the rod the alternative one takes a tenth of them, "
-        "finite differences even less.",
+        "the fewest operations on all four problems. Of the thesis' own methods the adjoint one takes the fewest on "
+        "the first three; on the rod finite differences and 6.8 take fewer, as 6.7 integrates nx (nx + nu) "
+        "sensitivities. For the whole matrix forward and adjoint methods take about as many; on the rod the "
+        "alternative one takes a tenth of these, finite differences even fewer.",
         tables=tables,
     )
 

@@ -38,7 +38,7 @@ def figure_1(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 1",
         "convergence of SQP with different Hessians, evaporation process",
-        "agrees",
+        "agrees with",
         f"Steps are shorter than 1e-6 after {steps['exact']:.0f} iterations with the exact Hessian, {steps['M']:.0f} "
         f"with M, whose first primal step is the same, and not within {steps['identity'] - 1:.0f} with the identity; "
         "the dual correction removes the difference of the first residual alone.",
@@ -84,9 +84,9 @@ def ipopt(run: Run) -> Exhibit:
     return Exhibit(
         "Section V.A",
         "IPOPT with the exact Hessian and with M",
-        "agrees",
-        f"IPOPT takes {exact} iterations with the exact Hessian and {constant} with M in its place (paper: 18 and "
-        "19, and 2.4 times the time with the exact one): some more of them, without second derivatives.",
+        "agrees with",
+        f"IPOPT takes {exact} iterations with the exact Hessian and {constant} with M instead (paper: 18 and 19, and "
+        "2.4 times the time with the exact one): M takes some more iterations, without second derivatives.",
         tables=[Table(("exact", "M"), [("paper", 18.0, 19.0), ("ours", float(exact), float(constant))])],
     )
 
@@ -103,7 +103,7 @@ def lemma_7(run: Run) -> Exhibit:
     return Exhibit(
         "Lemma 7",
         "existence of M and M_f",
-        "agrees" if solved == count else "contradicts",
+        "agrees with" if solved == count else "contradicts",
         "With the cost-to-go of the linear-quadratic problem as terminal cost, the program has a solution with M > "
         f"0 and M_f > 0 for {solved} of {count} random problems, {indefinite} of which have an indefinite Hessian.",
         checks=[Check("Lemma 7: random problems without M", float(count - solved), 0.0)],
@@ -118,7 +118,7 @@ def figure_3(run: Run) -> Exhibit:
     return Exhibit(
         "Fig. 3",
         "closed-loop losses of nine schemes, evaporation process",
-        "agrees",
+        "agrees with",
         f"From dP = {max(found):g} kPa M loses {last['M']:.1e} %, LETEMPC {last['LETEMPC']:.1e} %, the identity "
         f"{last['identity']:.1e} % and tracking {last['tracking']:.1e} %: M is the best real-time scheme, LETEMPC "
         "close to it and tracking the worst, as in the paper. The exact Hessian, indefinite in the first samples "
@@ -175,7 +175,7 @@ def periodic(run: Run) -> Exhibit:
     return Exhibit(
         "Section II.A",
         "periodic LETEMPC",
-        "ours",
+        "extends",
         "The paper says that the periodic case is possible and omits it. On a heat store under a daily tariff "
         f"`tune_periodic()` finds 24 Hessians M_k; the first control differs by {difference[-1]:.1e} kW at "
         f"{offsets[-1]:g} K from the orbit, of order {order:.2f}.",
@@ -203,10 +203,10 @@ def wanted_speed(_: Run) -> Exhibit:
     return Exhibit(
         "Section V.B",
         "a wanted speed turned into alpha",
-        "ours",
+        "extends",
         f"alpha = -dP/dv of the power that a steady speed takes makes it the best one: {rows[1][1]:.1f} W s/m at 50 "
-        "km/h. The paper's 0.055 has the other sign and no unit; dividing the electrical part of the cost by "
-        f"{driving.POWER:.0f} W, which the example does, is what matches it.",
+        "km/h. The paper's 0.055 has the other sign and no unit; it matches if the electrical part of the cost is "
+        f"divided by {driving.POWER:.0f} W, as the example does.",
         tables=[Table(("alpha, W s/m", "alpha / 14341 W", "best steady speed, km/h"), rows)],
         checks=[Check("car: best steady speed for alpha, relative", worst, 1e-6)],
     )
