@@ -32,7 +32,7 @@ Array = NDArray[Any]
 
 
 def neutralisation() -> OCP:
-    """State the pH of a stream of acid, buffer and base in reaction invariants.
+    """Return the OCP of the pH of a stream of acid, buffer and base in reaction invariants.
 
     Invariants are in mmol/l, time is in s (Henson and Seborg, IEEE Trans. Control Syst. Technol. 2, 1994).
     """
@@ -63,7 +63,7 @@ def neutralisation() -> OCP:
 
 
 def car() -> OCP:
-    """State a braking car with fast wheels.
+    """Return the OCP of a braking car with fast wheels.
 
     The loads of the axles follow from the tyre forces, which do not grow in proportion to the loads.
     """
@@ -87,7 +87,7 @@ def car() -> OCP:
 
 
 def battery() -> OCP:
-    """State a pack that delivers power and warms up. Time is in min.
+    """Return the OCP of a pack that delivers power and warms up. Time is in min.
 
     The current follows from P = (U - R I) I, of whose two solutions the smaller one is meant.
     """

@@ -34,7 +34,7 @@ SCALARS = {"double": np.float64, "single": np.float32}
 
 @functools.cache
 def build_directory() -> tempfile.TemporaryDirectory[str]:
-    """Return the temporary directory of this session, which is removed at exit."""
+    """Return the temporary directory of this process, which is removed at exit."""
     return tempfile.TemporaryDirectory(prefix="c_harness_")
 
 

@@ -60,7 +60,7 @@ class Plant:
 
 
 def reactor() -> tuple[OCP, Mapping[str, Any]]:
-    """State A <-> B + C, 2 B <-> C in a batch whose pressure is measured.
+    """Return the OCP of A <-> B + C, 2 B <-> C in a batch whose pressure is measured.
 
     An extended Kalman filter finds negative concentrations (Haseltine and Rawlings, Industrial and Engineering
     Chemistry Research 44, 2005).
@@ -76,7 +76,7 @@ def reactor() -> tuple[OCP, Mapping[str, Any]]:
 
 
 def vehicle() -> tuple[OCP, Mapping[str, Any]]:
-    """State position, heading, gyroscope bias and wheel slip of a vehicle.
+    """Return the OCP of position, heading, gyroscope bias and wheel slip of a vehicle.
 
     A receiver gives the position at every other sample, and not between samples 60 and 85.
     """
@@ -96,7 +96,7 @@ def vehicle() -> tuple[OCP, Mapping[str, Any]]:
 
 
 def battery() -> tuple[OCP, Mapping[str, Any]]:
-    """State a cell with a flat open-circuit voltage and a current sensor with an offset."""
+    """Return the OCP of a cell with a flat open-circuit voltage and a current sensor with an offset."""
     ocp = OCP("battery", T=200.0, N=20)
     soc, v = ocp.state("soc", scale=0.5), ocp.state("v", unit="V", scale=0.05)
     offset, i = ocp.state("offset", unit="A", scale=0.5), ocp.control("i", unit="A")
@@ -344,7 +344,7 @@ class Loop:
 
 
 def vehicle_on_a_circle() -> tuple[OCP, Mapping[str, Any]]:
-    """State the vehicle that follows positions along a circle."""
+    """Return the OCP of the vehicle that follows positions along a circle."""
     ocp, statement = vehicle()
     ocp.least_squares(ca.vertcat(ocp.x[:2], ocp.u), weight=[1, 1, 0.1, 0.5], reference=[0, 0, 3, 0.3], names=_FOLLOWED)
     ocp.terminal_least_squares(ocp.x[:2], weight=5, names=_FOLLOWED[:2])
@@ -356,7 +356,7 @@ _FOLLOWED = ["x", "y", "v", "w"]
 
 
 def charging() -> tuple[OCP, Mapping[str, Any]]:
-    """State the cell that is charged to 80 % with at most 6 A."""
+    """Return the OCP of the cell that is charged to 80 % with at most 6 A."""
     ocp, statement = battery()
     ocp.least_squares(ca.vertcat(ocp.x[0], ocp.u), weight=[100, 0.01], names=["soc", "i"])
     ocp.terminal_least_squares(ocp.x[0], weight=1e3, names=["soc"])
@@ -365,7 +365,7 @@ def charging() -> tuple[OCP, Mapping[str, Any]]:
 
 
 def heating() -> tuple[OCP, Mapping[str, Any]]:
-    """State an oven with unknown losses: the temperature of the air is measured, that of the heater is not."""
+    """Return the OCP of an oven with unknown losses: the temperature of the air is measured, not that of the heater."""
     ocp = OCP("oven", T=600.0, N=20)
     T, h = ocp.state("T", unit="K", initial=300.0), ocp.state("h", unit="K", initial=300.0)
     P, loss = ocp.control("P", unit="kW"), ocp.parameter("loss", value=0.02, unit="kW/K")

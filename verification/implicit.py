@@ -45,7 +45,7 @@ OPTIONAL = ("stage_rate", "stage_rate_gradient", "stage_rate_product", "stage_cu
 
 
 class Interval:
-    """An interval has the functions of one problem and integrator; ``scale`` is the scale of the states."""
+    """The compiled interval functions belong to one problem and integrator; ``scale``: scale of the states (nx,)."""
 
     def __init__(
         self, problem: Problem, integrator: ImplicitRungeKutta, precision: Precision = "double", scale: Any = None

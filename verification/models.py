@@ -15,7 +15,7 @@ GRID = [0.2, 0.3, 0.45]
 
 
 def pendulum_of_everything(name: str, intervals: list[float]) -> OCP:
-    """State a nonlinear pendulum with least-squares, general, integrated and terminal costs, rows and a parameter."""
+    """Return the OCP of a nonlinear pendulum with costs, rows and data of every kind."""
     ocp = OCP(name, intervals=intervals)
     q, w, u = ocp.state("q", initial=0.7), ocp.state("w", initial=-0.2), ocp.control("u")
     m = ocp.parameter("m", value=1.3)
@@ -35,7 +35,7 @@ def couple(ocp: OCP) -> None:
 
 
 def problem_of(model: str, uniform: bool = True) -> OCP:
-    """State an OCP with the dynamics of the model and a simple cost."""
+    """Return the OCP of an OCP with the dynamics of the model and a simple cost."""
     grid: dict[str, Any] = {"T": 3 * LENGTH, "N": 3} if uniform else {"intervals": GRID}
     ocp = OCP(model, **grid)
     {"crane": _crane, "reactor": _reactor, "tanks": _tanks}[model](ocp)
@@ -66,7 +66,7 @@ def _tanks(ocp: OCP) -> None:
 
 
 def discrete_map() -> OCP:
-    """State x+ = (x_0 + 0.5 x_1^2 + p u_0, 0.84 x_1 - x_0 exp(u_1))."""
+    """Return the OCP x+ = (x_0 + 0.5 x_1^2 + p u_0, 0.84 x_1 - x_0 exp(u_1))."""
     ocp = OCP("map", N=4)
     x, u, p = ocp.state("x", size=2), ocp.control("u", size=2), ocp.parameter("p", value=0.8)
     ocp.dynamics(ca.vertcat(x[0] + 0.5 * x[1] ** 2 + p * u[0], 0.84 * x[1] - x[0] * ca.exp(u[1])), discrete=True)

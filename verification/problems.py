@@ -52,7 +52,7 @@ class Case:
 
 
 def pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
-    """State a damped pendulum with a torque; return (ocp, angle, rate, torque)."""
+    """Create a damped pendulum with a torque; return (ocp, angle, rate, torque)."""
     ocp = OCP(name, **(grid or {"T": 2.0, "N": 8}))
     q, w, u = ocp.state("q", initial=1.0), ocp.state("w"), ocp.control("u")
     ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w + u})
@@ -77,7 +77,7 @@ def one_sided() -> OCP:
 
 
 def path_rows() -> OCP:
-    """State general rows with a control (nodes 0..N-1) and without (1..N)."""
+    """Return an OCP with general rows with a control (nodes 0..N-1) and without (1..N)."""
     ocp, q, w, u = pendulum("path_rows")
     ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.1, 0.05])
     ocp.terminal_least_squares(ca.vertcat(q, w), weight=[10.0, 1.0])
@@ -95,7 +95,7 @@ def terminal_rows() -> OCP:
 
 
 def disc() -> OCP:
-    """State a terminal disc with a small weight: full Gauss-Newton steps, which ignore the row's curvature, cycle."""
+    """Return an OCP with a terminal disc of small weight: full Gauss-Newton steps ignore its curvature and cycle."""
     ocp, q, w, u = pendulum("disc")
     ocp.least_squares(ca.vertcat(q, w, u), weight=[1.0, 0.1, 1.0])
     ocp.subject_to(-np.inf, q * q + w * w, 0.04, at="end", name="disc")
@@ -103,7 +103,7 @@ def disc() -> OCP:
 
 
 def single_nodes() -> OCP:
-    """State bounds and general rows at some nodes only; node 0 with a control."""
+    """Return an OCP with bounds and general rows at some nodes only; node 0 with a control."""
     ocp, q, w, u = pendulum("single_nodes")
     ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.1, 0.1])
     ocp.subject_to(-0.2, w, 0.2, at=(3,), name="slow")
@@ -135,7 +135,7 @@ def dense_weight() -> OCP:
 
 
 def scaled() -> OCP:
-    """State weights scaled by dt on a nonuniform grid, one of the two dense."""
+    """Return an OCP with weights scaled by dt on a nonuniform grid, one of the two dense."""
     ocp, q, w, u = pendulum("scaled", intervals=[0.1, 0.1, 0.2, 0.2, 0.4, 0.4])
     ocp.least_squares(ca.vertcat(q, w), weight=[[4.0, 1.0], [1.0, 2.0]], scale_with_dt=True)
     ocp.least_squares(u, weight=[0.3])
@@ -152,7 +152,7 @@ def nonuniform() -> OCP:
 
 
 def discrete() -> OCP:
-    """State the map of [T09 6.6] at k = 1, in two controls."""
+    """Return the OCP of the map of [T09 6.6] at k = 1, in two controls."""
     ocp = OCP("discrete", N=6)
     x, u = ocp.state("x", size=2, initial=[0.6, 0.5]), ocp.control("u", size=2)
     nxt = ca.vertcat(x[0] + 0.5 * x[1] ** 2 + u[0], 0.84 * x[1] - x[0] + u[1])
@@ -164,7 +164,7 @@ def discrete() -> OCP:
 
 
 def tiny() -> OCP:
-    """State a problem with nx = nu = N = 1 and no constraints."""
+    """Return an OCP with nx = nu = N = 1 and no constraints."""
     ocp = OCP("tiny", T=0.5, N=1)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -(x**3) + u})
@@ -296,7 +296,7 @@ def point(solution: Any) -> Point:
 
 
 def toy(T: float = 0.4) -> OCP:
-    """State a cart with mass m, disturbance d, and bounds: x+ = A x + B a / m + d for 0.1 s."""
+    """Return the OCP of a cart with mass m, disturbance d, and bounds: x+ = A x + B a / m + d for 0.1 s."""
     ocp = OCP("toy", T=T, N=4)
     p, v, a = ocp.state("p", unit="m", initial=1.0), ocp.state("v", unit="m/s"), ocp.control("a", unit="m/s^2")
     m, d = ocp.parameter("m", value=1.0), ocp.parameter("d", size=2, value=[0.0, 0.0])
@@ -316,7 +316,7 @@ def toy_sources(precision: Precision = "double", T: float = 0.4) -> Sources:
 
 
 def explosive() -> OCP:
-    """State x' = x^2 + u, which diverges in finite time from x = 1 with u = 5, not with the reference u = -2."""
+    """Return the OCP x' = x^2 + u, which diverges in finite time from x = 1 with u = 5, but not with u = -2."""
     ocp = OCP("explosive", T=4.0, N=8)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: x**2 + u})
@@ -326,7 +326,7 @@ def explosive() -> OCP:
 
 
 def saddle() -> OCP:
-    """State a cost that is concave in x where the plan begins; all first derivatives are small there."""
+    """Return an OCP with a cost that is concave in x where the plan begins; all first derivatives are small there."""
     ocp = OCP("saddle", T=1.0, N=6)
     x, u = ocp.state("x", initial=0.1), ocp.control("u")
     ocp.dynamics({x: u})

@@ -8,7 +8,7 @@ from nmpc_codegen import OCP
 
 
 def heater(delay: bool = False) -> OCP:
-    """State a power that is the square of a voltage, which may act a sample later."""
+    """Return the OCP of a power that is the square of a voltage, which may act a sample later."""
     ocp = OCP("delayed" if delay else "heater", T=600, N=20)
     T, V = ocp.state("T", initial=20.0), ocp.control("V")
     ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * (ocp.previous(V) if delay else V) ** 2})
@@ -19,12 +19,12 @@ def heater(delay: bool = False) -> OCP:
 
 
 def delayed() -> OCP:
-    """State the heater whose voltage acts a sample later."""
+    """Return the OCP of the heater whose voltage acts a sample later."""
     return heater(delay=True)
 
 
 def vehicle() -> OCP:
-    """State a thrust n |n| against drag."""
+    """Return the OCP of a thrust n |n| against drag."""
     ocp = OCP("vehicle", T=4, N=20)
     p, v, n = ocp.state("p"), ocp.state("v"), ocp.control("n")
     ocp.dynamics({p: v, v: 0.002 * n * ca.fabs(n) - 0.3 * v * ca.fabs(v)})
@@ -35,7 +35,7 @@ def vehicle() -> OCP:
 
 
 def lagging() -> OCP:
-    """State the vehicle with a rotor speed that follows its command with a lag."""
+    """Return the OCP of the vehicle with a rotor speed that follows its command with a lag."""
     ocp = OCP("lagging", T=4, N=20)
     p, v, n, command = ocp.state("p"), ocp.state("v"), ocp.state("n"), ocp.control("command")
     ocp.dynamics({p: v, v: 0.002 * n * ca.fabs(n) - 0.3 * v * ca.fabs(v), n: (command - n) / 0.3})
@@ -47,7 +47,7 @@ def lagging() -> OCP:
 
 
 def motor() -> OCP:
-    """State a torque that is the product of two currents, both 0 at rest."""
+    """Return the OCP of a torque that is the product of two currents, both 0 at rest."""
     ocp = OCP("motor", T=4, N=20)
     w, a, b = ocp.state("w"), ocp.control("a"), ocp.control("b")
     ocp.dynamics({w: 2 * a * b - 0.3 * w})
@@ -59,7 +59,7 @@ def motor() -> OCP:
 
 
 def drone() -> OCP:
-    """State a drone whose two rotors lift with the squares of their speeds; either rotor by itself overturns it."""
+    """Return the OCP of a drone whose rotors lift with the squares of their speeds; either one alone overturns it."""
     ocp = OCP("drone", T=1.5, N=20)
     x, z, angle, vx, vz, w = (ocp.state(name) for name in ("x", "z", "angle", "vx", "vz", "w"))
     n, m = ocp.control("n"), ocp.control("m")
@@ -77,7 +77,7 @@ def drone() -> OCP:
 
 
 def warm() -> OCP:
-    """State a heater that has to heat only because of a hard row."""
+    """Return the OCP of a heater that has to heat only because of a hard row."""
     ocp = OCP("warm", T=600, N=20)
     T, V = ocp.state("T", initial=25.0), ocp.control("V")
     ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * V**2})
@@ -88,7 +88,7 @@ def warm() -> OCP:
 
 
 def rated_heater(hard: bool = False) -> OCP:
-    """State a heater with power V^2, a parameter as first voltage, and a cost and optionally a limit of changes."""
+    """Return the OCP of a heater with power V^2, a parameter as first voltage, and a cost of changes of the voltage."""
     ocp = OCP("heater", T=2.0, N=4)
     T, V, rated = ocp.state("T"), ocp.control("V"), ocp.parameter("rated")
     ocp.dynamics({T: V**2 - T})
@@ -100,12 +100,12 @@ def rated_heater(hard: bool = False) -> OCP:
 
 
 def rated_heater_in_steps() -> OCP:
-    """State the heater with a limit of changes."""
+    """Return the OCP of the heater with a limit of changes."""
     return rated_heater(hard=True)
 
 
 def rated_heater_at_the_end() -> OCP:
-    """State a heater whose cost depends on the last temperature only."""
+    """Return the OCP of a heater whose cost depends on the last temperature only."""
     ocp = OCP("heater", T=2.0, N=4)
     T, V = ocp.state("T"), ocp.control("V")
     ocp.dynamics({T: V**2 - T})

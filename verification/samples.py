@@ -55,7 +55,7 @@ from verification.tuned import blocked_crane, dead_time, graded_tank, slewed_cra
 
 
 def walk() -> Estimator:
-    """State an estimator of a discrete map without controls."""
+    """Return the estimator of a discrete map without controls."""
     ocp = OCP("walk", N=3)
     x = ocp.state("x")
     ocp.dynamics({x: 0.9 * x}, discrete=True)
@@ -63,7 +63,7 @@ def walk() -> Estimator:
 
 
 def _pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
-    """State a damped pendulum with a torque and a quadratic cost; return (ocp, angle, rate, torque)."""
+    """Create a damped pendulum with a torque and a quadratic cost; return (ocp, angle, rate, torque)."""
     ocp = OCP(name, **(grid or {"T": 1.0, "N": 5}))
     q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
     ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w + u})
@@ -72,19 +72,19 @@ def _pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
 
 
 def bare() -> OCP:
-    """State a problem with neither rows nor parameters nor a terminal cost."""
+    """Return an OCP with neither rows nor parameters nor a terminal cost."""
     return _pendulum("bare")[0]
 
 
 def controls() -> OCP:
-    """State control bounds only."""
+    """Return an OCP with control bounds only."""
     ocp, _, _, u = _pendulum("controls")
     ocp.subject_to(-1, u, 1)
     return ocp
 
 
 def states() -> OCP:
-    """State bounds on states, one of them at the end, and none on controls."""
+    """Return an OCP with bounds on states, one of them at the end, and none on controls."""
     ocp, q, w, _ = _pendulum("states")
     ocp.terminal_least_squares(ca.vertcat(q, w), weight=[10.0, 1.0])
     ocp.subject_to(-0.6, w, 0.6)
@@ -93,7 +93,7 @@ def states() -> OCP:
 
 
 def path() -> OCP:
-    """State general path rows with and without controls, one of them with a parameter, and none at the end."""
+    """Return an OCP with general path rows with and without controls, one with a parameter, and none at the end."""
     ocp, q, w, u = _pendulum("walls")
     p = ocp.parameter("p", value=0.5)
     ocp.subject_to(-0.8, u + p * w * w, 0.9, name="effort")
@@ -102,7 +102,7 @@ def path() -> OCP:
 
 
 def circle() -> OCP:
-    """State a point mass without a terminal cost, whose controls have to stay inside a circle."""
+    """Return the OCP of a point mass without a terminal cost, whose controls have to stay inside a circle."""
     ocp = OCP("circle", T=1.0, N=5)
     x, u = ocp.state("x", size=2), ocp.control("u", size=2)
     ocp.dynamics({x: u - 0.3 * x})
@@ -112,7 +112,7 @@ def circle() -> OCP:
 
 
 def wide() -> OCP:
-    """State more controls than lanes."""
+    """Return an OCP with more controls than lanes."""
     ocp = OCP("wide", T=1.0, N=5)
     x, u = ocp.state("x", size=2, initial=[1.0, -0.5]), ocp.control("u", size=5)
     ocp.dynamics({x: ca.vertcat(u[0] + u[1] * x[1], u[2] - u[3] * x[0] + u[4])})
@@ -122,7 +122,7 @@ def wide() -> OCP:
 
 
 def flat() -> OCP:
-    """State a heated tank whose pump efficiency falls with its temperature; the cost is linear in the power."""
+    """Return the OCP of a heated tank whose pump efficiency falls with temperature; the cost is linear in the power."""
     ocp = OCP("flat", T=6.0, N=6, time_unit="h")
     temp, power = ocp.state("temp", initial=40.0), ocp.control("power")
     ocp.dynamics({temp: (4.5 - 0.06 * (temp - 35)) * power - 0.1 * (temp - 20)})
@@ -133,7 +133,7 @@ def flat() -> OCP:
 
 
 def final() -> OCP:
-    """State general rows only at the end."""
+    """Return an OCP with general rows only at the end."""
     ocp, q, w, u = _pendulum("final")
     ocp.subject_to(-3, u, 3)
     ocp.subject_to(-0.1, ca.vertcat(q + 0.2 * q * w, ca.sin(w) + q), [0.1, 0.5], at="end", name="gate")
@@ -141,7 +141,7 @@ def final() -> OCP:
 
 
 def ends() -> OCP:
-    """State a state, a general and a coupled row at the end."""
+    """Return an OCP with a state, a general and a coupled row at the end."""
     ocp, q, w, u = _pendulum("ends")
     ocp.subject_to(-3, u, 3)
     ocp.subject_to(0.1, q, 0.1, at="end")
@@ -151,7 +151,7 @@ def ends() -> OCP:
 
 
 def soft_states() -> OCP:
-    """State soft bounds on states."""
+    """Return an OCP with soft bounds on states."""
     ocp, _, w, u = _pendulum("soft_states")
     ocp.subject_to(-1, u, 1)
     ocp.subject_to(-0.6, w, 0.6, soft=(10, 1))
@@ -159,7 +159,7 @@ def soft_states() -> OCP:
 
 
 def soft_rows() -> OCP:
-    """State soft general rows at some nodes, and a hard general row."""
+    """Return an OCP with soft general rows at some nodes, and a hard general row."""
     ocp, q, w, u = _pendulum("soft_rows")
     ocp.subject_to(-0.8, u + 0.5 * w * w, 0.9, name="effort", soft=(5, 0))
     ocp.subject_to(-0.2, q * q + w, 0.7, at=(2, 4, 5), name="gate")
@@ -167,7 +167,7 @@ def soft_rows() -> OCP:
 
 
 def cycle() -> OCP:
-    """State coupled start and end with a free start and no other bounds."""
+    """Return an OCP with coupled start and end with a free start and no other bounds."""
     ocp, q, w, _ = _pendulum("cycle")
     ocp.boundary(0, ocp.at_start(q) - ocp.at_end(q), 0)
     ocp.boundary(0, ocp.at_start(w) - ocp.at_end(w), 0)
@@ -176,7 +176,7 @@ def cycle() -> OCP:
 
 
 def arrival() -> OCP:
-    """State a free start with a separate cost."""
+    """Return an OCP with a free start with a separate cost."""
     ocp, q, w, u = _pendulum("arrival")
     ocp.subject_to(-1, u, 1)
     ocp.free_initial(q, w)
@@ -186,7 +186,7 @@ def arrival() -> OCP:
 
 
 def arrival_on_path() -> OCP:
-    """State a least-squares cost of x_0, together with a path cost of the state only."""
+    """Return an OCP with a least-squares cost of x_0, together with a path cost of the state only."""
     ocp = OCP("arrival_on_path", T=1.0, N=5)
     q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
     ocp.dynamics({q: w, w: -ca.sin(q) + u})
@@ -198,12 +198,12 @@ def arrival_on_path() -> OCP:
 
 
 def bioreactor_in_loop() -> OCP:
-    """Soft coupled rows with a measured start, accumulators, an integrated cost."""
+    """Return an OCP with soft coupled rows with a measured start, accumulators and an integrated cost."""
     return bioreactor.build_ocp(soft=True)
 
 
 def ring() -> OCP:
-    """Nonlinear coupled rows and a general row."""
+    """Return an OCP with nonlinear coupled rows and a general row."""
     ocp, q, w, u = _pendulum("ring")
     ocp.boundary(-1, ocp.at_start(q) * ocp.at_end(q) + ocp.at_end(w) ** 2 - ocp.at_start(w) ** 2, 1)
     ocp.subject_to(-2, w + u * q, 2, name="row")
@@ -212,14 +212,14 @@ def ring() -> OCP:
 
 
 def closing() -> OCP:
-    """State a measured start and a coupled row only."""
+    """Return an OCP with a measured start and a coupled row only."""
     ocp, _, w, _ = _pendulum("closing")
     ocp.boundary(0, ocp.at_start(w) - ocp.at_end(w), 0)
     return ocp
 
 
 def target() -> OCP:
-    """State a cost at the end only, and bounds on the control."""
+    """Return an OCP with a cost at the end only, and bounds on the control."""
     ocp = OCP("target", T=1.0, N=5)
     q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
     ocp.dynamics({q: w, w: -ca.sin(q) + u})
@@ -229,7 +229,7 @@ def target() -> OCP:
 
 
 def counted() -> OCP:
-    """State a state that starts at 0 at every sample."""
+    """Return an OCP with a state that starts at 0 at every sample."""
     ocp = OCP("counted", T=1.0, N=4)
     q, work, u = ocp.state("q", initial=0.5), ocp.state("work"), ocp.control("u")
     ocp.dynamics({q: -q + u, work: u**2})
@@ -241,7 +241,7 @@ def counted() -> OCP:
 
 
 def free() -> OCP:
-    """State a free component of the start that no row couples to the end."""
+    """Return an OCP with a free component of the start that no row couples to the end."""
     ocp, _, w, u = _pendulum("loose")
     ocp.subject_to(-1, u, 1)
     ocp.subject_to(-0.6, w, 0.6)
@@ -250,7 +250,7 @@ def free() -> OCP:
 
 
 def everything() -> OCP:
-    """State every kind of row and of data, on a nonuniform grid."""
+    """Return an OCP with every kind of row and of data, on a nonuniform grid."""
     ocp = OCP("everything", intervals=[0.1, 0.1, 0.2, 0.2])
     x, u, p = ocp.state("x", size=2), ocp.control("u", size=2), ocp.parameter("p", size=2, value=[1, 2])
     ocp.dynamics(ca.vertcat(x[1] * p[0], -x[0] + u[0] * u[1] + ca.sin(x[1]) * p[1]))
@@ -269,7 +269,7 @@ def everything() -> OCP:
 
 
 def economic() -> OCP:
-    """State general costs, one integrated and one at the end, without least squares."""
+    """Return an OCP with general costs, one integrated and one at the end, without least squares."""
     ocp = OCP("economic", T=1.0, N=4)
     q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
     ocp.dynamics({q: w, w: -ca.sin(q) + u})
@@ -280,7 +280,7 @@ def economic() -> OCP:
 
 
 def tuned() -> OCP:
-    """State general costs with all data on which a constant Hessian depends, a soft row, and a free start."""
+    """Return an OCP with general costs and all data on which a constant Hessian depends, a soft row, a free start."""
     ocp, q, w, u = _pendulum("tuned")
     p = ocp.parameter("p", value=0.5)
     ocp.stage_cost(p * ca.exp(0.1 * q * u))
@@ -293,7 +293,7 @@ def tuned() -> OCP:
 
 
 def tuned_end() -> OCP:
-    """State a general cost and a fixed terminal state, so that the constant Hessian has no terminal block."""
+    """Return an OCP with a general cost and a fixed terminal state; the constant Hessian has no terminal block."""
     ocp = OCP("tuned_end", T=1.0, N=5)
     q, w, u = ocp.state("q", initial=0.1), ocp.state("w"), ocp.control("u")
     ocp.dynamics({q: w, w: -ca.sin(q) + u})
@@ -303,7 +303,7 @@ def tuned_end() -> OCP:
 
 
 def mixed() -> OCP:
-    """State least squares, a general cost that is not integrated, and a general row."""
+    """Return an OCP with least squares, a general cost that is not integrated, and a general row."""
     ocp, q, w, u = _pendulum("mixed")
     ocp.stage_cost(ca.exp(0.1 * q * u))
     ocp.subject_to(-0.5, w + q * u, 0.5, name="row")
@@ -311,7 +311,7 @@ def mixed() -> OCP:
 
 
 def discrete() -> OCP:
-    """State a discrete map."""
+    """Return the OCP of a discrete map."""
     ocp = OCP("discrete", N=6)
     x, u = ocp.state("x", initial=0.5), ocp.control("u")
     ocp.dynamics({x: 0.9 * x + u + 0.1 * x**2}, discrete=True)
@@ -321,7 +321,7 @@ def discrete() -> OCP:
 
 
 def rated_tank() -> OCP:
-    """State a tank with an algebraic outflow, a rate of its inflow, a cost rate and a parameter at each node."""
+    """Return the OCP of a tank with an algebraic outflow, a rate of its inflow, a cost rate and nodal parameters."""
     ocp = OCP("rated_tank", T=2.0, N=4)
     h, q = ocp.state("h", initial=1.0), ocp.control("q")
     out, k = ocp.algebraic("out", initial=0.6), ocp.parameter("k", value=1.0)
@@ -335,7 +335,7 @@ def rated_tank() -> OCP:
 
 
 def discrete_rows() -> OCP:
-    """State a discrete map with bounds on its state, a general row and a parameter."""
+    """Return the OCP of a discrete map with bounds on its state, a general row and a parameter."""
     ocp = OCP("discrete_rows", N=3)
     x, u, p = ocp.state("x", size=2, initial=[0.5, 0.1]), ocp.control("u"), ocp.parameter("p", value=0.9)
     ocp.dynamics(ca.vertcat(p * x[0] + x[1], 0.5 * x[1] + u + 0.1 * x[0] ** 2), discrete=True)
@@ -391,7 +391,7 @@ def _alone(qp: Any, condensing: Any = STAGES, **more: Any) -> Options:
 
 
 def functions() -> OCP:
-    """State functions and conditions that targets with vectors have in lanes."""
+    """Return an OCP with functions and conditions that targets with vectors have in lanes."""
     ocp = OCP("functions", T=1.0, N=9)
     x, v, u = ocp.state("x", initial=0.5), ocp.state("v"), ocp.control("u")
     drag = ca.if_else(v > 0, ca.exp(-v), 1.0) + ca.fmax(v, 0.1) * ca.log(1.0 + x**2) + ca.sqrt(1.0 + v**2)
@@ -403,7 +403,7 @@ def functions() -> OCP:
 
 
 def data() -> OCP:
-    """State tables of one and two variables, and data of every kind.
+    """Return an OCP with tables of one and two variables, and data of every kind.
 
     Rows are hard or soft, penalties differ by side and are scaled, and a parameter has bounds.
     """
@@ -419,7 +419,7 @@ def data() -> OCP:
 
 
 def clocked() -> OCP:
-    """State a cost that depends on time, and a component of x_0 that the solver chooses."""
+    """Return an OCP with a cost that depends on time, and a component of x_0 that the solver chooses."""
     ocp, q, _, _ = _pendulum("clocked")
     ocp.least_squares(q - ca.sin(ocp.time), 1.0, names="follow")
     ocp.free_initial(q)
@@ -427,14 +427,14 @@ def clocked() -> OCP:
 
 
 def rated() -> OCP:
-    """State a rate penalty without a terminal cost."""
+    """Return an OCP with a rate penalty without a terminal cost."""
     ocp, _, _, u = _pendulum("rated")
     ocp.least_squares(ocp.rate(u), 0.1, names="slew")
     return ocp
 
 
 def sampled() -> OCP:
-    """State a discrete state beside a continuous one."""
+    """Return an OCP with a discrete state beside a continuous one."""
     ocp = OCP("sampled", T=1.0, N=5)
     x, n, u = ocp.state("x", initial=0.5), ocp.state("n"), ocp.control("u")
     ocp.dynamics({x: u - x + n}, discrete={n: 0.5 * n + 0.1 * x})

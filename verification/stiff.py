@@ -25,7 +25,7 @@ Array = NDArray[Any]
 
 
 def kinetics() -> OCP:
-    """State Robertson's reactions in a stirred tank: a slow one, a fast intermediate, an autocatalytic one.
+    """Return the OCP of Robertson's reactions in a stirred tank: a slow one, a fast intermediate, an autocatalytic one.
 
     Rates differ by 1e9. The feed holds the product at its set point. Time is in s.
     """
@@ -42,7 +42,7 @@ def kinetics() -> OCP:
 
 
 def reactor() -> OCP:
-    """State A -> R -> B in a stirred tank with a jacket.
+    """Return the OCP of A -> R -> B in a stirred tank with a jacket.
 
     R reacts in seconds, the tank takes an hour. Time is in min.
     """
@@ -71,7 +71,7 @@ TRAYS, FEED_TRAY, HYDRAULIC, VOLATILITY = 8, 4, 0.06, 2.0
 
 
 def column() -> OCP:
-    """State a binary distillation column with constant relative volatility and liquid hydraulics.
+    """Return the OCP of a binary distillation column with constant relative volatility and liquid hydraulics.
 
     Holdups are fast, compositions slow (Skogestad, Trans. IChemE 75, 1997, with fewer trays). Time is in min.
     """
@@ -105,7 +105,7 @@ def column() -> OCP:
 
 
 def converter() -> OCP:
-    """State a buck converter with input filter and the inductance of its capacitor's leads.
+    """Return the OCP of a buck converter with input filter and the inductance of its capacitor's leads.
 
     It rings in ns and is regulated in us. Time is in us, averaged over a switching period.
     """

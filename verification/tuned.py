@@ -23,7 +23,7 @@ def _none(*_: Any) -> dict[int, Any]:
 
 
 def slewed_crane(N: int = 10, name: str = "slewed") -> Tuned:
-    """State a crane whose trolley force has a rate penalty, a rate limit, and a terminal penalty."""
+    """Return the OCP of a crane whose trolley force has a rate penalty, a rate limit, and a terminal penalty."""
     ocp = OCP(name, T=0.3 * N, N=N)
     p, v, q, w = (ocp.state(n) for n in ("p", "v", "q", "w"))
     F = ocp.control("F", unit="N")
@@ -56,7 +56,7 @@ def slewed_crane(N: int = 10, name: str = "slewed") -> Tuned:
 
 
 def graded_tank(name: str = "graded") -> Tuned:
-    """State two tanks on a grid of growing intervals.
+    """Return the OCP of two tanks on a grid of growing intervals.
 
     They have general costs of rates, a row of the rates of both pumps, and a row of a level and the previous control.
     """
@@ -103,7 +103,7 @@ def graded_tank(name: str = "graded") -> Tuned:
 
 
 def dead_time(name: str = "dead") -> Tuned:
-    """State a discrete map that the control reaches one sample late; its cost counts changes of the actuator."""
+    """Return the OCP of a discrete map that the control reaches one sample late; its cost counts actuator changes."""
     N = 12
     ocp = OCP(name, N=N)
     x, y = ocp.state("x", initial=2.0), ocp.state("y")
@@ -129,7 +129,7 @@ def dead_time(name: str = "dead") -> Tuned:
 
 
 def timed_vessel(name: str = "vessel") -> Tuned:
-    """State time in derivatives, cost and rows, the previous control in the derivatives, and a discrete counter."""
+    """Return an OCP with time in derivatives, cost and rows, the previous control in derivatives, and a counter."""
     N = 8
     ocp = OCP(name, T=4.0, N=N)
     x, y = ocp.state("x", initial=0.5), ocp.state("y")
@@ -165,7 +165,7 @@ def timed_vessel(name: str = "vessel") -> Tuned:
 
 
 def blocked_crane(name: str = "blocked") -> Tuned:
-    """State the crane on blocks: four values over eight intervals, a rate penalty, and a row with the force."""
+    """Return the OCP of the crane on blocks: four values over eight intervals, a rate penalty, a row with the force."""
     N, blocks = 8, (1, 1, 2, 4)
     ocp = OCP(name, T=0.3 * N, N=N)
     p, v, q, w = (ocp.state(n) for n in ("p", "v", "q", "w"))

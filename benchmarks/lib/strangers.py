@@ -24,7 +24,7 @@ LEAST = 3
 LOST, NOT_OK, UNSOLVED = 0.0067, 0.0125, 0.02
 #: Number of lost loops that is allowed in a sample of all.
 FEW = 2
-#: Consecutive samples after which RELAXED counts as staying; largest excess cost of the house over the optimum.
+#: Longest allowed run of RELAXED samples; largest allowed excess cost of the house example over its optimum.
 STAYS, DEARER = 50, 0.01
 
 #: The schemes of the table: the defaults, and others for comparison.

@@ -46,7 +46,7 @@ def phases(loop: Loop) -> dict[str, float] | None:
     return found if any(found.values()) else None
 
 
-#: Phases of a sample with a least-squares cost, whose regularisation is the curvature of active rows.
+#: Phases of a sample with a least-squares cost; "regularisation" is the curvature of active rows.
 ORDER = ("integration", "condensing", "QP", "regularisation", "rest")
 
 

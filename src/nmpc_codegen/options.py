@@ -49,7 +49,7 @@ GOALS: tuple[Goal, ...] = get_args(Goal)
 
 @dataclass(frozen=True)
 class Online:
-    """The storage of the data that can be changed at run time.
+    """Online options choose the storage of the data that can be changed at run time.
 
     "fixed": the declared values, in a constant table without a setter; "shared": one value for all path nodes and one
     for the terminal node; "node": one value for every node. Unneeded setters and memory are left out of the package.
@@ -97,7 +97,7 @@ class Online:
 
 @dataclass(frozen=True)
 class Chosen:
-    """The rule of a seam allows one of its components or, if ``optional``, None, which lets the compiler choose."""
+    """The rule of a seam allows one of its components or, if ``optional``, None, with which the compiler chooses."""
 
     seam: Seam
     optional: bool = False
@@ -132,7 +132,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Options:
-    """The choice of one component for every part of the algorithm, of the storage of data, and of the form of the C.
+    """Options choose one component for every part of the algorithm, the storage of data, and the form of the C.
 
     A component that is None is the default of the algorithm, or the compiler chooses it for the problem; the report
     gives the reason. All targets follow the same options; their results differ only by rounding.
@@ -186,7 +186,7 @@ class Options:
                 )
 
     def _repr_html_(self) -> str:
-        """Return a table of all options with their values, and marks of those that are given."""
+        """Return a table of all options with their values; given options are marked."""
         from nmpc_codegen.pictures.html import page, table
 
         mine, complete, default = as_data(self), as_data(self.with_defaults), as_data(Options())
@@ -211,7 +211,7 @@ class Options:
 
     @property
     def machine(self) -> Target:
-        """Return the target; "native" becomes that of this machine.
+        """Return the target; "native" becomes the target of this machine.
 
         Raises:
             BuildError: the target is "native", and there is no compiler.
@@ -235,7 +235,7 @@ class Options:
 
 
 def for_estimator(options: Options, kind: EstimatorKind) -> Options:
-    """Return the options of an estimator: its algorithm unless one is given, and its storage of data.
+    """Return the options of an estimator, with its own defaults for algorithm and storage of data.
 
     Raises:
         OptionError: an option is given that estimators do not have.
@@ -251,7 +251,7 @@ def for_estimator(options: Options, kind: EstimatorKind) -> Options:
 
 
 def common_options(options: Options | None) -> Options:
-    """Return the options that an estimator beside a controller shares with it."""
+    """Return the options that an estimator beside a controller shares with the controller."""
     given = options or Options()
     names = ("integrator", "precision", "math", "goal", "target")
     return Options(**{name: getattr(given, name) for name in names})

@@ -51,7 +51,7 @@ class Board:
 
 @dataclass(frozen=True)
 class Target:
-    """A machine, and the form of the C for it.
+    """A target is a machine with options of the C code for it.
 
     sums: form of sums; lanes: number of shooting nodes that are evaluated at once; tiles: numbers in a vector of the
     register tiles of products with stage matrices, whose sums have another order, 0 without tiles; avx512: uses

@@ -32,7 +32,8 @@
 #include "algorithms/shared/saddle.c"
 #endif
 
-/* Makes the terms approximate the rows more closely. Returns 0 if they are at their limit. */
+/* Sharpens the penalty or barrier terms so that they approximate the rows more closely. Returns 0 if they are at their
+ * limit. */
 static int sharpen(solver_t *s)
 {
     if (!sharpen_terms(s)) {

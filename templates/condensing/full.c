@@ -134,7 +134,7 @@ static void condense_store_rows(solver_t *s, int k, int column)
     }
 }
 
-/* Adds the coupling of du_k to the controls of the node before that are in dx_0; these act on node 0 only. */
+/* Adds the coupling of du_k to the controls of the previous node in dx_0; these act on node 0 only. */
 static void condense_couple_band(solver_t *s, int k, real_t (*Q)[NZ])
 {
     for (int j = 0; j < NU; ++j) {
@@ -144,8 +144,8 @@ static void condense_couple_band(solver_t *s, int k, real_t (*Q)[NZ])
     }
 }
 
-/* Adds the contribution of controls of the node before node k to the condensed Hessian: products of those of one node,
- * and products with the controls of node k. */
+/* Adds the contribution of controls of node k - 1 to the condensed Hessian: products of those of one node, and products
+ * with the controls of node k. */
 static void condense_add_band(solver_t *s, int k, real_t (*Q)[NZ])
 {
     for (int i = 0; k > 0 && i < NBAND; ++i) {
@@ -159,7 +159,7 @@ static void condense_add_band(solver_t *s, int k, real_t (*Q)[NZ])
     }
 }
 
-/* Adds the contribution of controls of the node before node N. */
+/* Adds the contribution of controls of node N - 1 to the condensed Hessian. */
 static void condense_add_last_band(solver_t *s, real_t (*Q)[NX])
 {
     const int last = (N - 1) * NU;
@@ -191,7 +191,7 @@ static void condense_add_curvature(solver_t *s)
     }
 }
 
-/* Adds the rows of W of controls of the node before to those controls, for a dense Hessian: T += later. */
+/* Adds the rows of W of controls of the previous node to those controls, for a dense Hessian: T += later. */
 static void condense_pull_back(columns_t *p, real_t (*later)[COLUMNS])
 {
     for (int i = 0; i < NBAND; ++i) {
@@ -202,7 +202,7 @@ static void condense_pull_back(columns_t *p, real_t (*later)[COLUMNS])
     }
 }
 
-/* Computes W of node k where controls follow those v of the node before. The term c^2/2 (u - v)^2 vanishes, as du =
+/* Computes W of node k where controls follow those v of the previous node. The term c^2/2 (u - v)^2 vanishes, as du =
  * dv. */
 static void condense_follow(solver_t *s, int k)
 {
@@ -227,7 +227,7 @@ static void condense_hessian(solver_t *s, int column)
     columns_t *p = &s->qp.work.columns;
     const int first = condense_first_node(column);
     const int curved = s->curved.in_solve;
-    real_t later[NBAND][COLUMNS]; /* rows of W of controls of the node before */
+    real_t later[NBAND][COLUMNS]; /* rows of W of controls of the previous node */
     if (TERMINAL_BLOCK) {
         CONDENSE_TERMINAL_PANEL(p, s->hessian.Q_N); /* W_N = Q_N G_N */
     } else {
@@ -544,7 +544,7 @@ static status_t condense_prepare(solver_t *s)
     return condense_factorize(s);
 }
 
-/* Copies du of controls that begin no block from the node before. */
+/* Copies du of controls that begin no block from the previous node. */
 static void condense_expand_held(step_t *d, int k)
 {
     for (int i = 0; i < NMEM; ++i) {

@@ -3,7 +3,7 @@ static void condense_shift(solver_t *s)
     qp_shift_controls(&s->qp, NU);
 }
 
-/* Moves the predicted side of row source[m] to row m. */
+/* Shifts the prediction of the working set: row m takes the predicted side of row source[m]. */
 static void condense_shift_rows(solver_t *s, const int *source)
 {
     for (int m = 0; m < NG; ++m) {

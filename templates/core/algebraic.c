@@ -1,6 +1,6 @@
 #if ALGEBRAIC
-/* Computes the algebraic variables at the state x and the controls u, with the parameters of node k; at node N of the
- * plan u is that of the node before. */
+/* Computes the algebraic variables at the state x and the controls u, with the parameters of node k. At node N, the
+ * plan has the controls of node N - 1. */
 status_t API(algebraic)(solver_t *s, int k, const real_t x[NXHAT], const real_t u[NU], real_t z[ALGEBRAIC])
 {
     if (s->magic != MAGIC) {

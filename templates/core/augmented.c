@@ -29,7 +29,7 @@ static void follow_augmented(solver_t *s)
     take_augmented(s, s->x[0]);
     for (int k = 1; k < N; k++) {
         for (int i = 0; i < NHELD; i++) {
-            if (!block_start[k * NHELD + i]) { /* a control that begins no block has the value of the node before */
+            if (!block_start[k * NHELD + i]) { /* a control that begins no block has the value of the previous node */
                 s->u[k][held_control[i]] = s->u[k - 1][held_control[i]];
             }
         }

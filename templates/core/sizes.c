@@ -1,7 +1,7 @@
-/* Contract of this part: scales, and what is negligible beside them. The scales of states, controls and rows, of the
- * cost and of its gradient follow from declared data, never from the data of a sample, because data at rest may be
- * rounding errors. A value far below its scale does not count as a size, and a residual near the rounding error of its
- * scale counts as zero, however small its terms are. */
+/* Contract of this part: scales, and tolerances relative to scales. The scales of states, controls and rows, of the
+ * cost and of its gradient follow from declared data, never from the data of a sample, because in a plant at rest the
+ * data may be rounding errors. A magnitude is at least its scale, and a residual near the rounding error of its scale
+ * counts as zero, even if its terms are smaller. */
 
 /* Returns the number of components of (x, u) at node k. */
 static inline int nz_at(int k)

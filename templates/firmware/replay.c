@@ -46,7 +46,8 @@ INSIDE uint32_t written_bytes(void)
     return (uint32_t)((uintptr_t)end - (uintptr_t)word);
 }
 
-/* Defines a function that measures one call; inlined parts leave the stack pointer as it is at the call. */
+/* Defines a function, never inlined, that measures ticks and stack of one call. Its helpers are inlined, so that their
+ * stack pointer is that of the function. */
 #define MEASURED(name, call)                                                                                           \
     ALONE static cost_t measured_##name(void)                                                                          \
     {                                                                                                                  \

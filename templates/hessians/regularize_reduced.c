@@ -174,7 +174,8 @@ static status_t condense_factorize(solver_t *s)
     return status;
 }
 
-/* Returns the multiplier of row m; for a row at its bound without the part that its term in the Hessian adds. */
+/* Returns the multiplier of row m. If the row is at its bound, the part is subtracted that its term in the Hessian
+ * adds. */
 static real_t released_multiplier(const solver_t *s, int m)
 {
     const real_t before = s->qp.mult[NV + m];

@@ -106,7 +106,8 @@ static void reconsider_shift(solver_t *s)
     }
 }
 
-/* Begins the search at the plan. It takes the Hessian of the sample if the full step was taken. */
+/* Begins the search at the plan. If `whole`, the sample has taken the full step, and the search begins with its
+ * Hessian. */
 static void begin_search(solver_t *s, int whole)
 {
     if (SHIFTS_BACK && !whole && s->samples > 0) {

@@ -1,5 +1,5 @@
 /* Component "integrator". Contract:
- *   interval_value   only x_next of interval k, of which a kernel also gives the derivatives
+ *   interval_value   x_next of interval k without derivatives
  *   API(integrate)   x_next = x(dt), NaN if the solver is not initialised or an argument is not finite
  * Here: a discrete map. Its sampling time is fixed, and an argument dt has no effect. */
 

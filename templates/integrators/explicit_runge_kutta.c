@@ -1,8 +1,9 @@
 /* Component "integrator". Contract:
- *   interval_value   only x_next of interval k, of which a kernel also gives the derivatives
+ *   interval_value   x_next of interval k without derivatives
  *   integrate_plan   x_next = x(dt) from x under the control u_k, any dt >= 0
- *   plan_steps       the number of steps for that; its kernel INTEGRATOR_STEP makes one
- *   API(integrate)   x(dt) from x for any control and any dt >= 0, NaN for another dt or if the solver is not initialised
+ *   plan_steps       the number of steps of integrate_plan, each by INTEGRATOR_STEP
+ *   API(integrate)   x(dt) from x for any control and any dt >= 0, NaN for another dt or if the solver is not
+ *   initialised
  * Here: explicit Runge-Kutta with equal steps, none longer than the longest step of the controller. */
 
 #include "integrators/noise.c"

@@ -36,7 +36,7 @@ static real_t own_tanh(real_t x)
     return own_select(size < TINY_ARGUMENT, x, own_copysign(quotient, x));
 }
 
-/* asinh(x) = log1p(|x| + x^2 / (1 + sqrt(1 + x^2))). */
+/* asinh(x) = sign(x) log1p(|x| + x^2 / (1 + sqrt(1 + x^2))). */
 static real_t own_asinh(real_t x)
 {
     const real_t size = own_fabs(x), z = x * x, more = z / (R(1) + own_sqrt(R(1) + z));
@@ -57,7 +57,7 @@ static real_t own_acosh(real_t x)
     return own_select(x < R(1), own_all(NOT_A_NUMBER), own_select(large, far, value));
 }
 
-/* atanh(x) = log1p(2 |x| + 2 x^2 / (1 - |x|)) / 2. */
+/* atanh(x) = sign(x) log1p(2 |x| + 2 x^2 / (1 - |x|)) / 2. */
 static real_t own_atanh(real_t x)
 {
     const real_t size = own_fabs(x), twice = R(2) * size;

@@ -82,8 +82,8 @@ static int qp_predict(qp_t *q, int equality, int again, real_t fraction)
 }
 
 /* Factorises H and the predicted working set: equalities first, then the inequalities that are members. Equalities that
- * nearly depend on others wait until the others are members, and those that remain nearly dependent until they are
- * violated; this keeps the condition number of R small. */
+ * nearly depend on others are added last. If they still do, they are left out until they are violated. This keeps the
+ * condition number of R small. */
 static status_t qp_factorize(qp_t *q)
 {
     const real_t least = FACTOR_DENSE_INDEPENDENT * SQRT(TOL_UNIT);

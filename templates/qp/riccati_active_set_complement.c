@@ -214,7 +214,7 @@ static void schur_update(solver_t *s)
     }
 }
 
-/* Computes the values of the members for dx_0 = 0, after a backward substitution. */
+/* Computes the values of the members of the working set for dx_0 = 0; called after a backward substitution. */
 static void schur_set_origin(solver_t *s)
 {
     schur_t *c = &s->schur;
@@ -271,7 +271,7 @@ static void schur_correct(solver_t *s, real_t *distance)
     c->shifted = 1;
 }
 
-/* Computes the distances of the members from their bounds for dx_0 = step.dx[0]. */
+/* Computes the distances of the members of the working set from their bounds for dx_0 = step.dx[0]. */
 static void schur_distances(const solver_t *s, real_t *distance)
 {
     const schur_t *c = &s->schur;

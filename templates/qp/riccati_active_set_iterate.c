@@ -8,8 +8,8 @@ static inline real_t qp_tolerance(const qp_t *q, real_t exact)
     return q->rough ? FACTOR_RICCATI_UNREFINED * SQRT(TOL_UNIT) : exact;
 }
 
-/* Returns the side of row c, which is not a member, from its value v and its bounds; `size`: magnitude of the terms of
- * v, and its scale. */
+/* Returns the side of row c, which is not in the working set: the bound that its value v violates, or INACTIVE. `size`:
+ * magnitude of the terms of v, and its scale. */
 static inline int qp_side_of_value(const qp_t *q, int c, real_t v, real_t size)
 {
     const real_t tolerance = qp_tolerance(q, TOL_RICCATI_FEASIBILITY);

@@ -203,7 +203,8 @@ static inline real_t ipm_regularization(const solver_t *s, int c)
     return TOL_IPM_DUAL_REGULARIZATION / s->ipm.stiffening * reach * reach;
 }
 
-/* Returns the number of sides of the row of side i, which is the first of them, as sides of one row are neighbours. */
+/* Returns the number of sides, 1 or 2, of the row to which side i belongs. Side i is the first of them; sides of one
+ * row are adjacent. */
 static inline int ipm_sides_of_row(const ipm_t *q, int i)
 {
     return (i + 1 < q->sides && ipm_row(q, i) == ipm_row(q, i + 1)) ? 2 : 1;

@@ -125,7 +125,7 @@ static int riccati_shift(solver_t *s, real_t hold)
     return riccati_try(s, hold, FACTOR_SHIFT_MARGIN * high);
 }
 
-/* Adds the shifts and holds of the last trial to the Hessian of the QP. */
+/* Adds the shifts of the last trial, and the terms that hold the working set, to the Hessian of the QP. */
 static void riccati_keep_diagonal(solver_t *s)
 {
     for (int k = 0; k < N; k++) {

@@ -1,5 +1,5 @@
-"""A contract is a promise of every package, whatever its components are; samples are held to contracts.
+"""A contract is a property that every generated package must have; sample packages are tested for it.
 
-A contract is a function of a Subject, a sample with its package. It is registered once and applies to every sample
-whose components it allows. ``python -m verification --table`` prints contracts by components.
+Each contract is a function of a Subject, a sample with its compiled package. It is registered once, and run for every
+sample whose components it supports. ``python -m verification --table`` prints contracts by components.
 """

@@ -57,7 +57,7 @@ def a_batch_has_the_bits_of_its_controllers(subject: Subject) -> None:
     many.shift()
     for one in singles:
         one.shift()
-    for name in ("x", "u", "cost"):  # solve() of a batch is one call, that of a controller one for each iteration
+    for name in ("x", "u", "cost"):  # Batch.solve() iterates in one C call
         np.testing.assert_allclose(getattr(many, name), [getattr(one, name) for one in singles], rtol=1e-9, atol=1e-9)
 
 

@@ -176,7 +176,7 @@ def chosen_by_the_compiler(sample: Sample) -> dict[str, object]:
 
 
 def rows() -> tuple[tuple[str, str], ...]:
-    """Return the rows of the table: (seam, name) of every registered component, precisions, features of problems."""
+    """Return the rows of the table as pairs: (seam, component), ("precision", name), (PROBLEM, feature)."""
     registered = ((seam, name) for seam in SEAMS for name in REGISTRIES[seam])
     uses = sorted({use for found in components().values() for use in found.uses})
     return (*registered, ("precision", "double"), ("precision", "single"), *((PROBLEM, use) for use in uses))

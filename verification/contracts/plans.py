@@ -7,7 +7,7 @@ import numpy as np
 from nmpc_codegen import Status
 from verification.contracts.subject import TOLERANCE, Subject, relative
 
-#: Distance of the control of a sample from that of the solution at which it starts.
+#: Largest difference, by precision, between the solution's control and the control of a sample that starts there.
 KEPT = {"double": 1e-5, "single": 2e-2}
 
 

@@ -46,7 +46,7 @@ def _around(center: object, reach: object) -> tuple[Array, Array]:
 
 
 def bicycle() -> OCP:
-    """State a kinematic bicycle whose goal is behind an obstacle of radius 1 m on the straight line."""
+    """Return the OCP of a kinematic bicycle whose goal is behind an obstacle of radius 1 m on the straight line."""
     ocp = OCP("bicycle", T=4.0, N=40)
     x, y, psi = ocp.state("x", unit="m"), ocp.state("y", unit="m"), ocp.state("psi", unit="rad")
     v = ocp.state("v", unit="m/s", initial=1.0)
@@ -62,7 +62,7 @@ def bicycle() -> OCP:
 
 
 def discs() -> OCP:
-    """State a mass in the plane with position, velocity and force in discs, and a target outside them."""
+    """Return the OCP of a mass in the plane with position, velocity and force in discs, and a target outside them."""
     ocp = OCP("discs", T=3.0, N=20)
     p, v, F = ocp.state("p", size=2), ocp.state("v", size=2), ocp.control("F", size=2)
     ocp.dynamics({p: v, v: F})
@@ -80,7 +80,7 @@ def _hoist(x: Any, a: Any) -> Any:
 
 
 def fastest_crane() -> OCP:
-    """State the crane that comes to rest at the origin in the shortest time, which is a free state."""
+    """Return the OCP of the crane that comes to rest at the origin in the shortest time, which is a free state."""
     ocp = OCP("fastest_crane", T=1.0, N=40)
     x, Tf = ocp.state("x", size=4, initial=[2.0, 0, 0, 0]), ocp.state("Tf", unit="s", initial=4.0)
     a = ocp.control("a", unit="m/s^2")
@@ -96,7 +96,7 @@ def fastest_crane() -> OCP:
 
 
 def swing_up() -> OCP:
-    """State a pendulum with little torque that swings up from hanging to upright, th = 0, within 4 s."""
+    """Return the OCP of a pendulum with little torque that swings up from hanging to upright, th = 0, within 4 s."""
     ocp = OCP("swing_up", T=4.0, N=40)
     th, w, u = ocp.state("th", unit="rad", initial=np.pi), ocp.state("w", unit="rad/s"), ocp.control("u")
     ocp.dynamics({th: w, w: 9.81 * ca.sin(th) + u})
@@ -107,7 +107,7 @@ def swing_up() -> OCP:
 
 
 def fastest_swing_up() -> OCP:
-    """State the swing-up in the shortest time."""
+    """Return the OCP of the swing-up in the shortest time."""
     ocp = OCP("fastest_swing_up", T=1.0, N=40)
     th, w = ocp.state("th", unit="rad", initial=np.pi), ocp.state("w", unit="rad/s")
     Tf, u = ocp.state("Tf", unit="s", initial=3.0), ocp.control("u")
@@ -122,7 +122,7 @@ def fastest_swing_up() -> OCP:
 
 
 def battery() -> OCP:
-    """State fast charging within soft limits of temperature and voltage.
+    """Return the OCP of fast charging within soft limits of temperature and voltage.
 
     A linearly implicit map integrates the fast overpotential.
     """
@@ -151,7 +151,7 @@ def battery() -> OCP:
 
 
 def reaction() -> OCP:
-    """State the economic control of a reactor A -> B by its flow (Diehl, Amrit and Rawlings 2011).
+    """Return the OCP of the economic control of a reactor A -> B by its flow (Diehl, Amrit and Rawlings 2011).
 
     Only c_A is fixed at the end: c_A + c_B tends to 1 whatever the flow is.
     """
@@ -166,7 +166,7 @@ def reaction() -> OCP:
 
 
 def oscillator() -> OCP:
-    """State a van der Pol oscillator with a bound on a state that is active for a while."""
+    """Return the OCP of a van der Pol oscillator with a bound on a state that is active for a while."""
     ocp = OCP("oscillator", T=10.0, N=20)
     x, y, u = ocp.state("x", initial=0.0), ocp.state("y", initial=1.0), ocp.control("u")
     ocp.dynamics({x: (1 - y**2) * x - y + u, y: x})
@@ -177,7 +177,7 @@ def oscillator() -> OCP:
 
 
 def free_period() -> OCP:
-    """State the most productive orbit of the fermentation, whose period is free."""
+    """Return the OCP of the most productive orbit of the fermentation, whose period is free."""
     D, KI, KM, PM, Y = 0.15, 22.0, 1.2, 50.0, 0.4
     ocp = OCP("free_period", T=1.0, N=24)
     X, S = ocp.state("X", initial=5.8), ocp.state("S", initial=18.0)

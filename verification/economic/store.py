@@ -19,7 +19,7 @@ START, N = 7, 48
 
 
 def store(economic: bool = True) -> OCP:
-    """State two days of a heat pump that loses efficiency with the temperature and with its load."""
+    """Return the OCP of two days of a heat pump that loses efficiency with the temperature and with its load."""
     ocp = OCP("store", T=float(N), N=N, time_unit="h")
     T, q = ocp.state("T", unit="degC", initial=45.0), ocp.control("q", unit="kW")
     price, demand = ocp.parameter("price", value=0.2), ocp.parameter("demand", value=3.0)

@@ -1,4 +1,4 @@
-"""A draw contains a problem and the loops that are simulated with it."""
+"""Random test cases are drawn: a problem, and the closed loops that are simulated with it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Multiple shooting is written by hand and solved by IPOPT, without any part of the package.
 
-A node has its state x, its control u, the control v of the node before, the time t, and d, the time between its control
-and the one before. Controls of one block of ``hold`` are one variable.
+A node has its state x, its control u, the control v of the previous node, the time t, and d, the time between u and v.
+Controls of one block of ``hold`` are one variable.
 """
 
 from __future__ import annotations

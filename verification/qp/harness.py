@@ -172,7 +172,7 @@ int test_size(void)
 
 @functools.cache
 def build_directory() -> tempfile.TemporaryDirectory[str]:
-    """Return the temporary directory of this session, which is removed at exit."""
+    """Return the temporary directory of this process, which is removed at exit."""
     return tempfile.TemporaryDirectory(prefix="qp_harness_")
 
 

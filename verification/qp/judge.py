@@ -53,7 +53,10 @@ def _ratio(a: Array, b: Array) -> Array:
 
 
 def _component_sizes(qp: StageQP, p: Point) -> tuple[Array, Array]:
-    """Return the largest sum of terms of every state, and the largest value of every control, at least a unit."""
+    """Return the magnitudes of states and controls over the horizon, which scale tolerances.
+
+    The magnitude of a state is its largest sum of absolute terms in the dynamics; each one is at least the unit.
+    """
     z = np.abs(stacked(p.dx, p.du)[:-1])
     terms = np.einsum("kij,kj->ki", np.abs(qp.S), z) + np.abs(qp.b)
     x = np.max(np.vstack([terms, np.abs(p.dx), np.abs(qp.dx0)[None], qp.unit_x[None]]), axis=0)

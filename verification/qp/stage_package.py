@@ -130,7 +130,7 @@ class Answer:
 
 
 def write(controller: Controller, qp: StageQP) -> None:
-    """Write the QP into a controller, and the plan at which it is the QP of the next sample."""
+    """Write the QP and a zero plan into a controller, so that the QP of the next sample is ``qp``."""
     shape, rows = qp.shape, rows_of(qp.shape)
     controller.view("p")[...] = parameters(qp)
     lower, upper = controller.view("lower"), controller.view("upper")

@@ -78,7 +78,7 @@ def solver_options(condense: Any, solver: Any) -> Options:
 
 
 def stage_ocp(shape: Shape) -> OCP:
-    """State an OCP of that shape with dense S, Q_k of every node, Q_N and rows.
+    """Return the OCP of an OCP of that shape with dense S, Q_k of every node, Q_N and rows.
 
     Its stable model's data are replaced.
     """
@@ -154,7 +154,7 @@ def wrong_certificate(qp: StageQP, weights: Array) -> str:
 
 @functools.cache
 def build_directory() -> tempfile.TemporaryDirectory[str]:
-    """Return the temporary directory of this session, which is removed at exit."""
+    """Return the temporary directory of this process, which is removed at exit."""
     return tempfile.TemporaryDirectory(prefix="stage_qp_")
 
 
@@ -251,7 +251,7 @@ def write_qp(memory: Any, qp: StageQP) -> None:
 
 
 class StageSolver:
-    """A stage solver is one solver struct; solve() writes a stage QP into it and runs both phases."""
+    """A stage solver runs preparation and feedback phase of the generated C for a stage QP, in one solver struct."""
 
     def __init__(self, shape: Shape, options: Options) -> None:
         self.shape, self.package = shape, built(shape, options)

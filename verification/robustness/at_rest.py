@@ -66,7 +66,7 @@ class Plant:
 
 
 def mass() -> OCP:
-    """State a mass at a set point, which may be 0."""
+    """Return the OCP of a mass at a set point, which may be 0."""
     ocp = OCP("mass", T=2.0, N=10)
     p, v, a = ocp.state("p"), ocp.state("v"), ocp.control("a")
     ocp.dynamics({p: v, v: a})
@@ -77,7 +77,7 @@ def mass() -> OCP:
 
 
 def standstill() -> OCP:
-    """State a car beyond its stop line that must not reverse: a state is at its bound 0."""
+    """Return the OCP of a car beyond its stop line that must not reverse: a state is at its bound 0."""
     ocp = OCP("standstill", T=2.0, N=10)
     s, v, a = ocp.state("s"), ocp.state("v"), ocp.control("a")
     ocp.dynamics({s: v, v: a})
@@ -88,7 +88,7 @@ def standstill() -> OCP:
 
 
 def pushed() -> OCP:
-    """State a control at its bound, with a penalty of its rate."""
+    """Return the OCP of a control at its bound, with a penalty of its rate."""
     ocp = OCP("pushed", N=10)
     T, last, u = ocp.state("T"), ocp.state("last"), ocp.control("u")
     ocp.dynamics({T: 0.8 * T + 0.2 * u, last: u}, discrete=True)
@@ -98,7 +98,7 @@ def pushed() -> OCP:
 
 
 def fan() -> OCP:
-    """State a fan that had better stay off below its soft band."""
+    """Return the OCP of a fan that had better stay off below its soft band."""
     ocp = OCP("fan", T=10.0, N=10)
     x, y, d = ocp.state("x", initial=18.0), ocp.state("y"), ocp.control("dy")
     ocp.dynamics({x: 0.205 + 0.029 * y - 0.003 * x * y - 0.001 * x**2, y: d})
@@ -110,7 +110,7 @@ def fan() -> OCP:
 
 
 def on_row() -> OCP:
-    """State a mass on a row p (p - 1) >= 0, whose bound is 0; its target violates the row."""
+    """Return the OCP of a mass on a row p (p - 1) >= 0, whose bound is 0; its target violates the row."""
     ocp = OCP("on_row", T=2.0, N=10)
     p, u = ocp.state("p"), ocp.control("u")
     ocp.dynamics({p: u})
@@ -121,7 +121,7 @@ def on_row() -> OCP:
 
 
 def circle() -> OCP:
-    """State a mass at a set point, under a circle of controls with a bound of 0."""
+    """Return the OCP of a mass at a set point, under a circle of controls with a bound of 0."""
     ocp = OCP("circle", T=2.0, N=10)
     p, v, a = ocp.state("p", size=2), ocp.state("v", size=2), ocp.control("a", size=2)
     ocp.dynamics({p: v, v: a})
@@ -132,7 +132,7 @@ def circle() -> OCP:
 
 
 def closed_valve() -> OCP:
-    """State a tank that is too full: its valve stays closed, with a state and its rate at 0."""
+    """Return the OCP of a tank that is too full: its valve stays closed, with a state and its rate at 0."""
     ocp = OCP("closed_valve", T=10.0, N=10)
     L, q, d = ocp.state("L"), ocp.state("q"), ocp.control("dq")
     ocp.dynamics({L: 0.1 * q, q: d})
@@ -144,7 +144,7 @@ def closed_valve() -> OCP:
 
 
 def empty_store() -> OCP:
-    """State a store with more demand than content, which rests empty."""
+    """Return the OCP of a store with more demand than content, which rests empty."""
     ocp = OCP("empty_store", T=5.0, N=10)
     e, u = ocp.state("e"), ocp.control("u")
     ocp.dynamics({e: u})
@@ -155,7 +155,7 @@ def empty_store() -> OCP:
 
 
 def two_at_once() -> OCP:
-    """State two stores, one empty and one full, with a soft limit on their exchange."""
+    """Return the OCP of two stores, one empty and one full, with a soft limit on their exchange."""
     ocp = OCP("two_at_once", T=5.0, N=10)
     e, f, u, w = ocp.state("e"), ocp.state("f"), ocp.control("u"), ocp.control("w")
     ocp.dynamics({e: u, f: w - 0.1 * u})
@@ -178,17 +178,17 @@ def _upright(name: str, T: float, N: int, pull: float, most: float) -> OCP:
 
 
 def pendulum() -> OCP:
-    """State an upright nonlinear pendulum."""
+    """Return the OCP of an upright nonlinear pendulum."""
     return _upright("pendulum", 1.0, 20, 9.81, 8)
 
 
 def stick() -> OCP:
-    """State an upright stick with an open loop that grows by e^21 over the horizon."""
+    """Return the OCP of an upright stick with an open loop that grows by e^21 over the horizon."""
     return _upright("stick", 3.0, 40, 49, 20)
 
 
 def drone() -> OCP:
-    """State a planar drone at a set point; thrusts have a reference, and the lateral motion is exactly 0."""
+    """Return the OCP of a planar drone at a set point; thrusts have a reference, the lateral motion is exactly 0."""
     ocp = OCP("drone", T=1.5, N=15)
     x, z, th = ocp.state("x"), ocp.state("z"), ocp.state("th")
     vx, vz, om = ocp.state("vx"), ocp.state("vz"), ocp.state("om")
@@ -202,7 +202,7 @@ def drone() -> OCP:
 
 
 def reactor() -> OCP:
-    """State a cooled reactor at its temperature, in kelvin, with an Arrhenius term."""
+    """Return the OCP of a cooled reactor at its temperature, in kelvin, with an Arrhenius term."""
     ocp = OCP("reactor", T=2.0, N=20)
     c, T, u = ocp.state("c", initial=0.5), ocp.state("T", initial=350.0), ocp.control("u")
     k = 7.2e10 * ca.exp(-8750 / T)
@@ -213,7 +213,7 @@ def reactor() -> OCP:
 
 
 def economic() -> OCP:
-    """State a general cost with an inner optimum."""
+    """Return the OCP of a general cost with an inner optimum."""
     ocp = OCP("economic", T=4.0, N=10)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -x + u})

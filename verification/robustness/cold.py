@@ -38,7 +38,7 @@ ORBIT, PERIOD = 3.0548, 20
 
 
 def van_der_pol() -> OCP:
-    """State an oscillator whose control is too weak to hold it everywhere."""
+    """Return the OCP of an oscillator whose control is too weak to hold it everywhere."""
     ocp = OCP("van_der_pol", T=2.0, N=15)
     x, v, u = ocp.state("x", initial=1.0), ocp.state("v", initial=0.5), ocp.control("u")
     ocp.dynamics({x: v, v: (1 - x**2) * v - x + u})

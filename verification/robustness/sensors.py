@@ -27,7 +27,7 @@ UNSEEN = 4
 
 
 def cart() -> tuple[OCP, Mapping[str, Any]]:
-    """State a cart with unknown mass."""
+    """Return the OCP of a cart with unknown mass."""
     ocp = OCP("cart", T=1.0, N=10)
     p, v, a = ocp.state("p", initial=1.0), ocp.state("v"), ocp.control("a")
     m = ocp.parameter("m", value=1.0, bounds=(0.2, 5))
@@ -37,7 +37,7 @@ def cart() -> tuple[OCP, Mapping[str, Any]]:
 
 
 def pendulum() -> tuple[OCP, Mapping[str, Any]]:
-    """State a pendulum whose sine and cosine of the angle are measured."""
+    """Return the OCP of a pendulum whose sine and cosine of the angle are measured."""
     ocp = OCP("pendulum", T=1.0, N=20)
     angle, rate, u = ocp.state("angle", unit="rad"), ocp.state("rate", unit="rad/s"), ocp.control("u")
     ocp.dynamics({angle: rate, rate: -9.81 * ca.sin(angle) - 0.1 * rate + u})

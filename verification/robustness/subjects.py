@@ -57,7 +57,7 @@ class Subject:
 
 
 def _oscillator(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
-    """State x'' = -x + 0.3 x^3 + u and return (ocp, x, v, u); its spring diverges beyond |x| = 1.8."""
+    """Create x'' = -x + 0.3 x^3 + u and return (ocp, x, v, u); its spring diverges beyond |x| = 1.8."""
     ocp = OCP(name, **(grid or {"T": 2.0, "N": 10}))
     x, v, u = ocp.state("x"), ocp.state("v"), ocp.control("u")
     ocp.dynamics({x: v, v: -x + 0.3 * x**3 + u})
@@ -67,12 +67,12 @@ def _oscillator(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
 
 
 def unbounded() -> OCP:
-    """State a problem without constraints."""
+    """Return an OCP without constraints."""
     return _oscillator("unbounded")[0]
 
 
 def soft_rows() -> OCP:
-    """State a soft state bound and a soft general row with a control, which has no bounds of its own."""
+    """Return an OCP with a soft state bound and a soft general row with a control, which has no bounds of its own."""
     ocp, x, v, u = _oscillator("soft_rows")
     ocp.subject_to(-0.3, v, 0.3, name="slow", soft=(5, 0))
     ocp.subject_to(-np.inf, x + u, 0.4, name="gentle", soft=(1, 10))
@@ -80,7 +80,7 @@ def soft_rows() -> OCP:
 
 
 def general_rows() -> OCP:
-    """State hard general rows on the path and at the end."""
+    """Return an OCP with hard general rows on the path and at the end."""
     ocp, x, v, u = _oscillator("general_rows")
     ocp.subject_to(-3, u, 3)
     ocp.subject_to(-2, u + x * v, 2, name="effort")
@@ -89,7 +89,7 @@ def general_rows() -> OCP:
 
 
 def free_component() -> OCP:
-    """State a problem whose velocity at the start is free."""
+    """Return an OCP whose velocity at the start is free."""
     ocp, _x, v, u = _oscillator("free_component")
     ocp.free_initial(v)
     ocp.subject_to(-1, u, 1)
@@ -97,7 +97,7 @@ def free_component() -> OCP:
 
 
 def coupled_rows() -> OCP:
-    """State a soft row that keeps the end near the start."""
+    """Return an OCP with a soft row that keeps the end near the start."""
     ocp, x, _v, u = _oscillator("coupled_rows")
     ocp.subject_to(-1, u, 1)
     ocp.boundary(0, ocp.at_start(x) - ocp.at_end(x), 0, soft=(1, 0), name="loop")
@@ -105,7 +105,7 @@ def coupled_rows() -> OCP:
 
 
 def one_interval() -> OCP:
-    """State a problem with N = nu = nx = 1."""
+    """Return an OCP with N = nu = nx = 1."""
     ocp = OCP("one_interval", T=0.5, N=1)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -(x**3) + u})
@@ -116,7 +116,7 @@ def one_interval() -> OCP:
 
 
 def parameters() -> OCP:
-    """State a cart whose mass is a parameter."""
+    """Return the OCP of a cart whose mass is a parameter."""
     ocp = OCP("parameters", T=2.0, N=20)
     p, v, F = ocp.state("p", initial=1.0), ocp.state("v"), ocp.control("F")
     m = ocp.parameter("m", value=0.5)
@@ -216,9 +216,10 @@ TERMS: tuple[dict[str, Any], ...] = (
 
 
 def shooting() -> tuple[Candidate, ...]:
-    """Return single shooting for every subject that it supports, with methods, shifts and precisions in turn.
+    """Return two single-shooting candidates for every subject that the method supports.
 
-    Each has the default terms of rows, and the first of the other ones that the subject allows.
+    One has the default treatment of rows, the other the next treatment that the subject allows. Methods, shifts and
+    precisions alternate.
     """
     found = []
     for i, subject in enumerate(subjects()):

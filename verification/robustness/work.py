@@ -77,7 +77,7 @@ def closed_loops() -> list[Loop]:
 
 
 def _slow_crane() -> OCP:
-    """State the crane with limits of trolley speed and load angle that a jump of the load violates."""
+    """Return the OCP of the crane with limits of trolley speed and load angle that a jump of the load violates."""
     ocp = crane.build_ocp(False)
     ocp.subject_to(-0.3, ocp.x[1], 0.3, name="speed", soft=(10.0, 0.0))
     ocp.subject_to(-0.02, ocp.x[2], 0.02, name="angle", soft=(50.0, 10.0))
@@ -85,7 +85,7 @@ def _slow_crane() -> OCP:
 
 
 def _warm_reactor() -> OCP:
-    """State the reactor with temperature limits above the set point."""
+    """Return the OCP of the reactor with temperature limits above the set point."""
     ocp = cstr.build_ocp(state_bounds=False)
     ocp.subject_to(115.0, ocp.x[2], np.inf, name="warm", soft=(1.0, 0.0))
     ocp.subject_to(-np.inf, ocp.x[3], 112.0, name="cool", soft=(1.0, 0.5))
@@ -93,7 +93,7 @@ def _warm_reactor() -> OCP:
 
 
 def _gentle_quadrotor() -> OCP:
-    """State the quadrotor with limits of speed and tilt as general rows."""
+    """Return the OCP of the quadrotor with limits of speed and tilt as general rows."""
     ocp = quadrotor.build_ocp((0.0, 0.0, 0.0))
     ocp.subject_to(-np.inf, ca.dot(ocp.x[3:6], ocp.x[3:6]), 0.05, name="speed", soft=(20.0, 0.0))
     ocp.subject_to(0.999, ca.cos(ocp.x[6]) * ca.cos(ocp.x[7]), np.inf, name="tilt", soft=(100.0, 0.0))
@@ -101,7 +101,7 @@ def _gentle_quadrotor() -> OCP:
 
 
 def _walled_chain() -> OCP:
-    """State the chain with a wall that the pushes drive it through."""
+    """Return the OCP of the chain with a wall that the pushes drive it through."""
     ocp = chain.build_ocp(3)
     ocp.subject_to(-np.inf, ocp.x[1], 0.02, name="wall", soft=(5.0, 0.0))
     ocp.subject_to(-np.inf, ocp.x[4], 0.02, name="hand_wall", soft=(5.0, 0.0))
@@ -109,7 +109,7 @@ def _walled_chain() -> OCP:
 
 
 def _cautious_pole() -> OCP:
-    """State the cart-pole with soft limits of position and force."""
+    """Return the OCP of the cart-pole with soft limits of position and force."""
     ocp = cart_pole.build_ocp()
     ocp.subject_to(-0.02, ocp.x[0], 0.02, name="place", soft=(100.0, 0.0))
     ocp.subject_to(-1.0, ocp.u[0], 1.0, name="force", soft=(1.0, 0.1))

@@ -21,7 +21,7 @@ OPTIMUM = 10.456  # EUR
 
 
 def ocp() -> OCP:
-    """State two zones (degC) heated from a buffer, which a heat pump heats.
+    """Return the OCP of two zones (degC) heated from a buffer, which a heat pump heats.
 
     The efficiency of the pump falls with the buffer temperature.
     """

@@ -66,7 +66,7 @@ def _load(k: int) -> Array:
 
 
 def battery() -> OCP:
-    """State energy' = 0.95 charge - discharge / 0.95; buy - sell = load + charge - discharge."""
+    """Return the OCP energy' = 0.95 charge - discharge / 0.95; buy - sell = load + charge - discharge."""
     ocp = OCP("home_battery", T=float(HOURS), N=HOURS)
     energy = ocp.state("energy", unit="kWh", initial=4.0)
     charge, discharge, buy, sell = (ocp.control(name, unit="kW") for name in ("charge", "discharge", "buy", "sell"))
@@ -116,7 +116,7 @@ def _draw(k: int) -> Array:
 
 
 def tank() -> OCP:
-    """State 1.16 T' = P - 0.05 (T - 20) - draw, 45 <= T <= 80 soft."""
+    """Return the OCP 1.16 T' = P - 0.05 (T - 20) - draw, 45 <= T <= 80 soft."""
     ocp = OCP("tank", T=NODES * STEP, N=NODES)
     temperature, power = ocp.state("T", unit="degC", initial=50.0), ocp.control("P", unit="kW")
     price, draw = ocp.parameter("price", value=0.2), ocp.parameter("draw", unit="kW")

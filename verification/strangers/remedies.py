@@ -107,7 +107,7 @@ def _solves(name: str, limit: int) -> Flight:
 
 
 def cart_in_a_box(N: int, soft: tuple[float, float] | None = None) -> tuple[OCP, Array, Array]:
-    """State a linear pendulum on a cart whose states leave a box with a short horizon.
+    """Return the OCP of a linear pendulum on a cart whose states leave a box with a short horizon.
 
     Return it with A (4, 4), B (4, 1).
     """

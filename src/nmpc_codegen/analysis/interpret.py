@@ -53,7 +53,7 @@ class UnboundedError(ValueError):
 
 
 class Variable:
-    """A variable in scope with its type, and its value, which is computed when it is first needed."""
+    """A variable in scope has a type and a value, which is computed when it is first needed."""
 
     def __init__(self, type_: Type, value: Value = None, later: Callable[[], Value] | None = None) -> None:
         self.type, self.asked = type_, False
@@ -61,7 +61,7 @@ class Variable:
 
     @property
     def value(self) -> Value:
-        """Return its values; for a pointer to integers the name of the table."""
+        """Return the values of the variable; for a pointer to integers the name of the table."""
         if self._later is not None:
             self._value, self._later = self._later(), None
         self.asked = True
@@ -75,7 +75,7 @@ Result = tuple[int, Range | None]
 
 
 class WorstCase:
-    """The bounds of the functions of one unit."""
+    """A worst case holds the bounds of the functions of one unit."""
 
     def __init__(self, unit: Unit) -> None:
         self.unit = unit
@@ -124,7 +124,7 @@ class WorstCase:
 
 
 class _Body:
-    """A function during its evaluation; None stands for an expression outside of functions."""
+    """A body is a function during its evaluation; None stands for an expression outside of functions."""
 
     def __init__(self, analysis: WorstCase, function: Function | None) -> None:
         self._analysis, self._unit, self._function = analysis, analysis.unit, function
@@ -156,7 +156,7 @@ class _Body:
         return total
 
     def _branch(self, node: Node, rest: Sequence[Node], scope: Scope) -> int:
-        """Return the operations of an `if` and of the statements after it, unless a branch leaves the block."""
+        """Return the operations of an `if` and, unless a branch leaves the block, of the statements after the `if`."""
         condition = code_of(self._code[slice(*node.head)])
         test, holds = self.cost(condition, scope), truth(self.value(condition, scope))
         other = node.other
@@ -261,7 +261,7 @@ class _Body:
         return None
 
     def _pass(self, node: Node, move: Code | None, scope: Scope) -> int:
-        """Return the operations of the body, and of the step to the next pass."""
+        """Return the number of operations of one iteration: the loop body and the increment."""
         return self._block(node.body, dict(scope)) + self.cost(move, scope)
 
     def _sum_passes(
@@ -490,7 +490,7 @@ def _entries(table: Sequence[int], index: Range | None) -> Range | None:
 
 
 def _union(ranges: Sequence[Range | None]) -> Range | None:
-    """Return an interval that contains all of them."""
+    """Return an interval that contains all given intervals."""
     known = [r for r in ranges if r is not None]
     if not known or len(known) < len(ranges):
         return None
@@ -517,7 +517,7 @@ def _conjuncts(code: Code | None) -> Iterator[Code]:
 
 
 def _is_sum_with(code: Code, counter: str) -> bool:
-    """Return True if the expression is the counter plus terms without it."""
+    """Return True if the expression is the counter plus terms that do not contain the counter."""
     if code.tree.kind in ("name", "group"):
         return code.tree.word == counter or (code.tree.kind == "group" and _is_sum_with(code.operands[0], counter))
     if code.tree.kind != "binary" or code.tree.word not in ("+", "-"):

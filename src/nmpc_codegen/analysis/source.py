@@ -58,14 +58,14 @@ def type_of(text: str) -> Type:
 
 
 class Code(NamedTuple):
-    """An expression and the text that contains it."""
+    """Code is an expression together with the text that contains it."""
 
     text: str
     tree: Expression
 
     @property
     def operands(self) -> tuple[Code, ...]:
-        """Return its operands; for a call the arguments, for a list the items."""
+        """Return the operands of the expression; for a call the arguments, for a list the items."""
         inner = self.tree.operands[1:] if self.tree.kind == "call" else self.tree.operands
         return tuple(part for each in inner for part in _parts(Code(self.text, each)))
 
@@ -89,7 +89,7 @@ def code_of(text: str) -> Code | None:
 
 
 class TextMacro(NamedTuple):
-    """A macro with its parameters (none: an object-like macro) and its text."""
+    """A macro has parameters (none: an object-like macro) and a text."""
 
     parameters: tuple[str, ...]
     text: str
@@ -97,7 +97,7 @@ class TextMacro(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """A function of a unit with its text."""
+    """A function of a unit has a name and a text."""
 
     name: str
     head: str
@@ -105,30 +105,30 @@ class Function:
 
     @cached_property
     def result(self) -> Type:
-        """Return the type of its value."""
+        """Return the type of the function's value."""
         before, _, after = self.head.partition(self.name)
         return type_of(before + after[after.rindex(")") :])
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, Type], ...]:
-        """Return name and type of its parameters."""
+        """Return name and type of the parameters."""
         found = _HEAD.search(self.head)
         given = [p.strip() for p in split(found[2] if found else "") if p.strip() not in ("", "void")]
         return tuple((_parameter_name(p), type_of(p)) for p in given)
 
     @cached_property
     def body(self) -> tuple[Node, ...]:
-        """Return its statements."""
+        """Return the statements of the body."""
         return parse(self.text)[-1].body
 
     @cached_property
     def code(self) -> str:
-        """Return its text with blanks for comments."""
+        """Return the text of the function with blanks for comments."""
         return blank(self.text)
 
     @cached_property
     def changed(self) -> frozenset[str]:
-        """Return the variables that it changes, or whose address it takes, except counters that loops declare."""
+        """Return the variables that the function changes, or whose address it takes, except counters of its loops."""
         return find_changes(self.code, self.body)
 
 
@@ -187,7 +187,7 @@ def split_head(code: str, node: Node) -> list[str]:
 
 @dataclass(frozen=True)
 class Callee:
-    """The target of a call: the type of its value, and a macro, a function of the unit, or known operations."""
+    """The target of a call has the type of its value, and is a macro, a function of the unit, or known operations."""
 
     result: Type = INT
     macro: TextMacro | None = None

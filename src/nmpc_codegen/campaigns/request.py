@@ -1,4 +1,4 @@
-"""Terms say how a campaign is flown, judged and stored; fly_campaign() runs it."""
+"""The terms of a campaign state how flights are run, judged and stored; fly_campaign() runs the campaign."""
 
 from __future__ import annotations
 

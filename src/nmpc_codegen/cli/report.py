@@ -60,7 +60,7 @@ def report_package(printer: Printer, package: Package, folder: Path, ring: int) 
 
 
 def shorten(text: str) -> str:
-    """Return a text of at most WIDTH columns: whole words, no open parenthesis, and an ellipsis for the rest."""
+    """Shorten a text to at most WIDTH columns: whole words, no open parenthesis, and an ellipsis for the rest."""
     if len(text) <= WIDTH:
         return text
     cut = text[: WIDTH - 3].rpartition(" ")[0]

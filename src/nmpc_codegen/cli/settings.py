@@ -17,7 +17,7 @@ from nmpc_codegen.options import REGISTRIES, Options
 
 @dataclass
 class Change:
-    """New values for one option and for options inside it, set together because they may depend on each other."""
+    """A change sets one option and options inside it together, because they may depend on each other."""
 
     given: bool = False
     value: Any = None

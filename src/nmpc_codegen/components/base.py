@@ -180,19 +180,19 @@ def _nothing(dims: Dims) -> tuple[Struct, ...]:
 
 @dataclass(frozen=True)
 class HookedPart:
-    """A C file in templates/hooked/ with this name, and the structs that it needs."""
+    """A hooked part is a C file in templates/hooked/ with this name, and the structs that the file needs."""
 
     name: str
     structs: Callable[[Dims], tuple[Struct, ...]] = _nothing
 
     @property
     def part(self) -> str:
-        """Return the path of its file in templates/."""
+        """Return the path of the file in templates/."""
         return f"hooked/{self.name}.c"
 
 
 class Component(Protocol):
-    """The interface of every component, for any seam; the defaults add only its part."""
+    """All components, of any seam, have this interface; the defaults add only the component's C file."""
 
     seam: ClassVar[Seam]
     name: ClassVar[str]  # its word on the command line
@@ -201,31 +201,31 @@ class Component(Protocol):
     supports: ClassVar[frozenset[str]]  # uses of a problem that it supports
 
     def check(self, problem: Problem) -> None:
-        """Raise OptionError if its options clash with the problem."""
+        """Raise OptionError if options of this component clash with the problem."""
         return
 
     def adds(self, features: Features) -> Features:
-        """Return the features of a package with it.
+        """Return the features of a package with this component.
 
         The argument holds the features of the problem and of the components before it.
         """
         return features
 
     def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
-        """Return the parts that run for it at the hooks of the algorithm, in this order."""
+        """Return the C files that run for this component at the hooks of the algorithm, in this order."""
         return ()
 
     @property
     def places(self) -> Mapping[str, str]:
-        """Return {further input or output of its kernels: place in a node}, as in {"K": "(s)->stages.K[k]"}."""
+        """Return {further kernel argument: its location in a node}, as in {"K": "(s)->stages.K[k]"}."""
         return {}
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
-        """Return notes for the user of a package with it, which become part of the report."""
+        """Return notes for the user of a package with this component, which become part of the report."""
         return ()
 
     def tables(self, problem: CompleteProblem) -> tuple[Table, ...]:
-        """Return the constant tables that its template reads."""
+        """Return the constant tables that the component's template reads."""
         return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -233,19 +233,19 @@ class Component(Protocol):
         return ()
 
     def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        """Return sizes that its parts name and this package does not need."""
+        """Return sizes that the component's C files name and this package does not need."""
         return ()
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Return the structs that it owns inside the solver struct."""
+        """Return the structs of this component inside the solver struct."""
         return ()
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        """Return {integer member of its structs that limits loops: (least, largest value)}, for the worst case."""
+        """Return {integer member that limits loops: (least, largest value)}, for the worst case."""
         return {}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """Return exact operation counts of its C functions, except those whose count depends on data.
+        """Return exact operation counts of the component's C functions, except those whose count depends on data.
 
         ``model`` provides the functions that they call: the lifted functions and the stage products.
         """
@@ -333,11 +333,11 @@ class Condensing(Component, Protocol):
     gives: ClassVar[str]  # "condensed": without states, by products of the stage matrices; or "stages"
 
     def qp_shape(self, problem: Problem) -> QpShape:
-        """Return the sizes of the QP that it forms."""
+        """Return the sizes of the condensed QP."""
         ...
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
-        """Return operation counts, see Component; the functions that it calls are products."""
+        """Return operation counts, see Component; the functions that condensing calls are products."""
         return {}
 
 
@@ -350,11 +350,11 @@ class QpSolver(Component, Protocol):
     chosen_for: ClassVar[tuple[str, ...]]  # goals for which qp=None may choose it
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
-        """Return operation counts, see Component; the functions that it calls are products."""
+        """Return operation counts, see Component; the functions that the solver calls are products."""
         return {}
 
     def search(self, dims: Dims) -> OpCount:
-        """Estimate the further operations of a sample whose working set is far from the predicted one."""
+        """Estimate the further operations of a sample whose working set differs much from the predicted one."""
         return OpCount()
 
 
@@ -380,7 +380,7 @@ class Algorithm(Component, Protocol):
 
     @property
     def simulates(self) -> bool:
-        """Return True if the states of its plans are simulated from x_0."""
+        """Return True if the states of plans are simulated from x_0."""
         return False
 
     def decide(self, problem: Problem, small: bool) -> tuple[Self, tuple[str, ...]]:
@@ -392,15 +392,15 @@ class Algorithm(Component, Protocol):
 
     @property
     def convex(self) -> bool:
-        """Return True if an exact Hessian that may be indefinite must be made convex for it."""
+        """Return True if the algorithm needs a convex Hessian, so that an indefinite exact one must be changed."""
         return True
 
     def check_parts(self, parts: Parts) -> None:
-        """Raise OptionError if it does not work with one of the other components."""
+        """Raise OptionError if the algorithm does not work with one of the other components."""
         return
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
-        """Return the C functions that a sample calls; with ``solve`` also the one that iterates to convergence."""
+        """Return the C functions of a sample and, with ``solve``, the one that iterates to convergence."""
         ...
 
     def reach(self, problem: Problem) -> float:

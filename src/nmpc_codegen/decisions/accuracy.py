@@ -28,9 +28,9 @@ FINE, DRAWN, LOST, ESCAPED = 64, 64, 1e3, 10.0
 
 
 def starts(problem: Problem) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield the points (x, u, p) of the first plan at all corners, with its controls and with those at bounds.
+    """Yield the points (x, u, p) of the first plan at all corners of ranges, also with controls at their bounds.
 
-    Those of an estimator are at its initial state, because its references are measurements.
+    The points of an estimator are at its initial state, because its references are measurements.
     """
     for _, corner in problem.corners:
         rows = [row for row in corner.rows if row.kind == "control"]
@@ -75,7 +75,10 @@ class Flow:
         self._size = np.maximum(size, np.max(np.abs(self._fine), axis=1, initial=0.0)[:, None])
 
     def error(self, tableau: ButcherTableau, steps: int) -> float:
-        """Return the largest error of an interval with this number of steps; LOST if it has no finite end."""
+        """Return the largest integration error of ``steps`` steps over the tested intervals.
+
+        The error is LOST if an integrated state is not finite.
+        """
         return float(np.max(self._of_steps(tableau, steps), initial=0.0))
 
     def worst(self, tableau: ButcherTableau, steps: int) -> Array:

@@ -21,7 +21,7 @@ T_co = TypeVar("T_co", covariant=True)
 
 @dataclass(frozen=True)
 class Decision(Generic[T_co]):
-    """A chosen value with the sentences of the report that explain it.
+    """A decision is a chosen value with the sentences of the report that explain the choice.
 
     ``stated`` is True if the options gave the value of an integrator or a Hessian.
     """
@@ -33,7 +33,7 @@ class Decision(Generic[T_co]):
 
 @dataclass(frozen=True)
 class QpChoice:
-    """The chosen condensing and QP solver, the reasons, and warnings of the digits that they cost."""
+    """A QP choice has condensing and QP solver, the reasons, and warnings of the accuracy that they lose."""
 
     condensing: Condensing
     qp: QpSolver
@@ -43,7 +43,7 @@ class QpChoice:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Choices:
-    """Everything that a package consists of.
+    """The choices determine everything in a package.
 
     exact: blocks of the exact Hessian of solve(), if samples have another one; qp: condensing and QP solver, None while
     they are open and if the algorithm has no QP; online: data that can be changed at run time; options: all choices as

@@ -1,4 +1,4 @@
-"""The growth of the open loop over the horizon costs digits if condensing eliminates the states.
+"""The growth of the open loop over the horizon costs accuracy if condensing eliminates the states.
 
     dx_k = sum_j Phi(k, j + 1) B_j du_j + ...,   Phi(k, j) = A_{k-1} ... A_j
 
@@ -46,7 +46,7 @@ LARGEST = 1e100
 
 @dataclass(frozen=True)
 class Growth:
-    """``factors[l - 1]`` is the growth over l intervals; it is empty if no stated point has finite derivatives."""
+    """Growth over l intervals is ``factors[l - 1]``; ``factors`` is empty if no stated point has finite derivatives."""
 
     factors: tuple[float, ...]
     precision: Precision
@@ -68,7 +68,7 @@ class Growth:
         )
 
     def spares(self, problem: Problem, condensing: Condensing) -> bool:
-        """Return True if a condensing component costs few digits."""
+        """Return True if condensing loses little accuracy, a relative error of at most AVOIDED."""
         return self.error(_intervals(problem, condensing)) <= AVOIDED[self.precision]
 
     def warning(self, problem: Problem, condensing: Condensing) -> tuple[str, ...]:
@@ -109,7 +109,7 @@ class Growth:
 
 
 def _intervals(problem: Problem, condensing: Condensing) -> int:
-    """Return how many intervals in a row have states that are functions of earlier ones: all, or one."""
+    """Return the number of consecutive intervals whose states are functions of earlier states: all, or one."""
     return problem.N if condensing.gives == "condensed" else 1
 
 
@@ -189,7 +189,7 @@ def _factors(S: Array, uniform: bool) -> Array:
 
 
 def _reachable_states(S: Array) -> Marks:
-    """Return marks of the states that a control reaches, directly or through other states."""
+    """Return flags of the states that a control reaches, directly or through other states."""
     nx = S.shape[1]
     depends = np.any(S != 0.0, axis=0)
     reached: Marks = np.any(depends[:, nx:], axis=1)

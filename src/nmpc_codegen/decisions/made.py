@@ -1,6 +1,6 @@
 """The functions on which counts depend are made by the integrator and the Hessian of samples.
 
-Linearize() reuses them.
+linearize() reuses these functions.
 """
 
 from __future__ import annotations

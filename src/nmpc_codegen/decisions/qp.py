@@ -22,7 +22,7 @@ from nmpc_codegen.package.struct_layout import Precision, struct_layout
 
 @dataclass(frozen=True)
 class QpCandidate:
-    """A condensing, a solver for its QP, and their operations.
+    """A candidate is a condensing with a solver for its QP, and their operations.
 
     operations: of a warm-started sample with an empty working set; soft rows become active and inactive in blocks, so
     with them the search for another working set is included. searching: with that search in any case. dims: sizes of
@@ -55,7 +55,7 @@ CLOSE = 1.5
 def choose_qp(found: Choices) -> QpChoice:
     """Choose condensing and QP solver: those that are given, completed by the pair with the fewest operations.
 
-    Pairs that lose too many digits are excluded; with goal="size" the fewest bytes decide. The reason is the table of
+    Pairs that lose too much accuracy are excluded; with goal="size" the fewest bytes decide. The reason is the table of
     all candidates. The QP of a problem without any curvature is a linear program, for which the recursion on stages is
     chosen, because it handles degenerate vertices best.
 

@@ -1,4 +1,4 @@
-"""Warnings tell where a scheme is unstable or inaccurate at the stated points, and which scheme would do."""
+"""Warnings state where a scheme is unstable or inaccurate at the stated points, and which scheme is sufficient."""
 
 from __future__ import annotations
 

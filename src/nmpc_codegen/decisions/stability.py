@@ -33,7 +33,7 @@ DAMPED, SLACK, UNDAMPED_SLACK = 1e-3, 1e-6, 0.5
 
 
 class Modes(NamedTuple):
-    """Eigenvalues of f_x that do not grow, at points that the problem states, and where the fastest one is.
+    """The modes are eigenvalues of f_x that do not grow, at stated points, with the location of the fastest one.
 
     They are taken at the ends of intervals if the model is stiff there and not at the stated points.
     """

@@ -30,7 +30,7 @@ def macros(model: DerivativeModel) -> tuple[Macro, ...]:
 
 
 def scheme_sizes(model: DerivativeModel) -> dict[str, int]:
-    """Return the sizes that only the functions of an interval read.
+    """Return the C macros that only interval functions use: dimensions of the scheme, and flags of its stage kernels.
 
     They are those of the scheme, and marks of the kernels of stages that exist.
     """

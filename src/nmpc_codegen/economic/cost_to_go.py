@@ -27,7 +27,7 @@ RESIDUAL, STABLE, RANK = 1e-7, 1.0 - 1e-9, 1e-9
 
 @dataclass(frozen=True, eq=False)
 class CostToGo:
-    """P (n, n) and the feedback u = -K x, K (m, n), hold on a subspace with the given basis."""
+    """The cost-to-go has P (n, n) and the feedback u = -K x, K (m, n), on a subspace with the given basis."""
 
     P: Array
     K: Array

@@ -28,7 +28,7 @@ POSITIVE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class LinearQuadratic:
-    """A (n, n), B (n, m), H (n + m, n + m), C (a, n + m).
+    """The problem at a steady state is x+ = A x + B u with the cost 1/2 w' H w, w = (x, u), and active rows C w = 0.
 
     H_f (n, n) and D (b, n) at node N, None if the end is fixed.
     """
@@ -110,7 +110,7 @@ def linear_quadratic(stage: SteadyStage, steady: SteadyState, *, gauss_newton: b
 
 
 def _strict_terminal(g: Array, G: Array, rows: Rows, force: Array, on_path: set[str]) -> list[int]:
-    """Return the rows at their bound whose multiplier nu, G' nu = lam_s - dV_f / dx, has the sign of the bound.
+    """Return the rows at their bound with a multiplier nu of its sign, G' nu = lam_s - dV_f / dx.
 
     Equations belong to them, and so do rows that are strictly active on the path ([Z20], equation (15)), although a
     terminal cost with the slope lam_s gives these no multiplier.
@@ -130,7 +130,7 @@ def _strict_terminal(g: Array, G: Array, rows: Rows, force: Array, on_path: set[
 
 @dataclass(frozen=True)
 class Frequency:
-    """The least value of the frequency function, and its angle theta (rad per interval)."""
+    """The least value of the frequency function is given with its angle theta (rad per interval)."""
 
     least: float
     theta: float
@@ -141,9 +141,10 @@ class Frequency:
 
 
 def frequency_function(lq: LinearQuadratic) -> Frequency:
-    """Return the minimum of pi over 0 <= theta <= pi; a scaling of w gives the diagonal of H the size 1.
+    """Return the least value of the frequency function over 0 <= theta <= pi.
 
-    Positivity does not depend on the scaling. A grid is refined around its least values; +inf if C leaves no freedom.
+    w is scaled so that the diagonal of H has magnitude 1; the sign of the result does not depend on it. A grid is
+    refined around its least values. The result is +inf if the active rows determine w.
     """
     scaled = lq.scale(curvature_scaling(lq))
     size = max(float(np.abs(np.linalg.eigvalsh(scaled.H)).max()), np.finfo(float).tiny)

@@ -1,8 +1,8 @@
 """The map of an interval by an implicit scheme is written as an expression, for derivatives at a steady state.
 
-Every stage takes two Newton steps from the point of the stage before. At a steady state they start at the solution: the
-error of a step is quadratic in f, that of two has four factors of f, so that value, first, second and third derivatives
-of the map there are exact.
+Every stage takes two Newton steps from the point of the previous stage. At a steady state they start at the solution:
+the error of one step is quadratic in f, and the error of two steps has four factors of f, so that value, first, second
+and third derivatives of the map there are exact.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     min sum_k l(x_k, u_k, p_k)  s.t.  x_{k+1} = Phi(x_k, u_k, p_k),  x_P = x_0,  lower <= h(x_k, u_k, p_k) <= upper
 
 As at a steady state, IPOPT finds the active rows, and Newton's method with these rows as equations removes the error of
-the barrier; a point that is no minimum is left along the direction of negative curvature. All of it in units of the
-typical sizes of w = (x, u), of the cost and of the rows.
+the barrier; a point that is no minimum is left along the direction of negative curvature. All computations use units of
+the typical sizes of w = (x, u), of the cost and of the rows.
 """
 
 from __future__ import annotations

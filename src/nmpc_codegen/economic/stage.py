@@ -1,4 +1,4 @@
-"""One stage of a problem at steady operation is given by CasADi functions of the states that stand still.
+"""One stage of a problem at steady operation is given by CasADi functions of the states that are at rest.
 
     x+ = Phi(x, u),   l(x, u),   lower <= h(x, u) <= upper        V_f(x),   lower <= g(x) <= upper at node N
 
@@ -31,7 +31,7 @@ ROUNDING = float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The rows lower <= h(w) <= upper, with one name per row."""
+    """The rows are lower <= h(w) <= upper, with one name per row."""
 
     names: tuple[str, ...]
     h: Expression
@@ -101,8 +101,8 @@ class SteadyStage:
 def magnitudes(stage: SteadyStage, *points: Array) -> Array:
     """Return typical sizes of w (n + nu,): the largest of given values and of finite simple bounds; 1 if all are zero.
 
-    A row lower == upper tells where a variable is, not how far it moves, so it is ignored, and so is a given value that
-    is a rounding error: x_N = x_s would measure a state in units of 1e-33.
+    A row lower == upper states the value of a variable, not its range, so it is ignored. A given value that is a
+    rounding error is ignored as well: x_N = x_s would measure a state in units of 1e-33.
     """
     size = np.max(np.abs(points), axis=0)
     size = np.where(size > ROUNDING * float(size.max()), size, 0.0)
@@ -120,7 +120,7 @@ def magnitudes(stage: SteadyStage, *points: Array) -> Array:
 def units(stage: SteadyStage, w: Array, d: Array) -> tuple[float, Array]:
     """Return the units of the cost and of the rows in w / d.
 
-    The unit of the cost is the larger one of its slope and its curvature; that of a row is its slope, or 1.
+    The unit of the cost is the larger one of its gradient and its curvature; the unit of a row is its gradient, or 1.
     """
     gradient, J = (np.asarray(part, dtype=float) * d for part in stage.jacobians(w)[1:])
     H = np.asarray(stage.hessian(w, np.zeros(stage.nx), np.zeros(len(stage.rows.names))), dtype=float) * np.outer(d, d)

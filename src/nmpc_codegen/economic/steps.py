@@ -55,7 +55,7 @@ class StageQp:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A step and its multipliers.
+    """A step of SQP has dx, du and multipliers.
 
     Attributes:
         dx: (N+1, n), step of the states.

@@ -206,7 +206,7 @@ def _object_digest(target: Target, folder: Path) -> str:
 
 @dataclass(frozen=True)
 class Form:
-    """Sizes of a package for one goal and optimisation level, in bytes: solver struct, code and constants, stack.
+    """A form has the sizes of a package for one goal and optimisation level, in bytes: solver struct, code, stack.
 
     The stack is that of the entry point with the largest one.
     """

@@ -48,7 +48,7 @@ Variant = Callable[..., Mapping[str, str]]
 
 @dataclass(frozen=True)
 class Delivery:
-    """The added files and their findings: certificate, sizes and verdict of --verify.
+    """A delivery consists of the added files and their findings: certificate, sizes and verdict of --verify.
 
     Certificate and ``forms``, the sizes for every goal, exist for microcontrollers.
     """

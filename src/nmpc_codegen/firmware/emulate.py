@@ -48,7 +48,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Run(Outcome):
-    """Controls and statuses of a board, compared with the same C on the host, with instructions and stack of calls."""
+    """A run has controls and statuses of a board, their comparison with the host, instructions and stack of calls."""
 
     against: ClassVar[str] = "the host"
 

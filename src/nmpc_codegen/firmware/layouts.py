@@ -84,6 +84,6 @@ def _names(recording: Recording, target: Target, certificate: Certificate, ram: 
 
 
 def without_seal(text: str) -> str:
-    """Return the text of a file without the line of its seal; the copy gets a new seal."""
+    """Return the text of a file without its checksum line; a copy gets a new checksum line."""
     lines = text.splitlines(keepends=True)
     return "".join(lines[:-1]) if lines and has_seal(lines[-1].encode()) else text

@@ -37,7 +37,7 @@ SPREAD = 0.05  # relative to the declared initial state
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """A change of data before sample ``sample``: the reference of all nodes, that of the end, or the plan (x, u)."""
+    """An event changes data before sample ``sample``: the reference of all nodes or of node N, or the plan (x, u)."""
 
     sample: int
     call: Literal["set_reference", "set_terminal_reference", "plan"]
@@ -103,7 +103,7 @@ class Recording:
 
 
 def _call(d: PackageDescription) -> dict[str, object]:
-    """Return how a sample is called: its inputs in one vector, and its outputs."""
+    """Return the template values for the call of one sample: numbers of inputs and outputs, and the call expression."""
     P, found = d.name.upper(), d.estimation
     if found is None:
         return {"P": P, "inputs": f"{P}_NX", "outputs": f"{P}_NU", "call": "step)(s, x, u)", "has_model": 1}

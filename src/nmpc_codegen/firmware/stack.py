@@ -26,7 +26,7 @@ _INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\t([\w.]+)(?:\t(.*))?$")
 
 @dataclass
 class StackFunction:
-    """A function with its frame in bytes, and the names of the functions that it calls."""
+    """A function has a frame in bytes, and the names of the functions that it calls."""
 
     frame: int = 0
     calls: set[str] = field(default_factory=set)
@@ -34,7 +34,7 @@ class StackFunction:
 
 @dataclass(frozen=True)
 class Depth:
-    """The stack of an entry point in bytes, and the chain of calls that needs it."""
+    """The depth of an entry point is its stack in bytes, with the chain of calls that needs it."""
 
     bytes: int
     chain: tuple[str, ...]

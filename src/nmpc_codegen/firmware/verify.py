@@ -22,7 +22,7 @@ from nmpc_codegen.targets import Target
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """The outcome of the comparison.
+    """A verdict is the outcome of the comparison.
 
     ``mismatches`` are the samples that do not agree, ``example`` describes the first one; ``bits`` is the number of
     samples in which u differs in some bit.

@@ -1,9 +1,9 @@
-"""The augmented state contains states added to the user's, through which a node knows its time and the node before it.
+"""The augmented state adds states to the user's, through which a node knows its time and the previous controls.
 
     t_{k+1} = t_k + dt_k     (t' = 1 along an interval),   v_{k+1} = u_k
 
 The maps of the added states are constant, so that kernels, integrators and second derivatives need no change; at node 0
-the added states are known. Marks of blocks of controls, and the lengths of the intervals before the nodes, are
+the added states are known. Flags of blocks of controls, and the lengths of the intervals before the nodes, are
 parameters added to the user's. Augmented.put_in() writes all expressions of a node in the symbols of a stage.
 """
 
@@ -58,7 +58,7 @@ class Augmented:
     def _symbols(self) -> tuple[Expression, Expression]:
         """Return the symbols of the OCP for (x, u, p), and for (x, p) of a node without controls.
 
-        The length of the interval before and the results of Newton's method follow the parameters.
+        The length of the previous interval and the results of Newton's method follow the parameters.
         """
         ocp, added = self.ocp, self.added
         states = [ocp.x, *([ocp.clock] * added.time), *(ocp.remembered[j] for j in added.previous)]
@@ -66,7 +66,7 @@ class Augmented:
         return ca.vertcat(*states, ocp.u, *data), ca.vertcat(*states, *data)
 
     def acting(self, x: Expression, u: Expression, p: Expression) -> Expression:
-        """Return the controls that act at a node: u_j where a block begins, else the control of the node before."""
+        """Return the controls that act at a node: u_j where a block begins, else the control of the previous node."""
         added = self.added
         found = [] if added.idle else elements(u)
         for i, j in enumerate(added.held):
@@ -135,7 +135,7 @@ class Augmented:
         )
 
     def node_data(self) -> Array:
-        """Return (N + 1, data): 1 where a block of a control begins; the length of the interval before."""
+        """Return (N + 1, data): 1 where a block of a control begins; the length of the previous interval."""
         blocks = np.zeros((self.ocp.N + 1, len(self.added.held)))
         for i, j in enumerate(self.added.held):
             blocks[np.cumsum((0, *self.ocp.blocks[j])), i] = 1.0
@@ -155,7 +155,7 @@ def _expressions(ocp: OCP) -> list[Expression]:
 
 # Mistakes ------------------------------------------------------------------------------------------------------------
 
-#: Names that suggest a state which stores the control of the node before.
+#: Names that suggest a state which stores the control of the previous node.
 _MEANT = re.compile(r"(^|_)(last|prev|previous|old|before|delayed)(_|$|\d)", re.IGNORECASE)
 
 

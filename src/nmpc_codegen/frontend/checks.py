@@ -257,7 +257,7 @@ def operations(expression: Any) -> set[int]:
 
 
 def _mark_call(inputs: list[int], constants: dict[int, float]) -> set[int]:
-    """Return the marks of a call with these inputs: none if it reads a smooth look-up table."""
+    """Return the opcodes that mark a call with these inputs: none if it reads a smooth look-up table."""
     try:
         table = called_lookup(constants.get(inputs[0]) if inputs else None, len(inputs))
     except KeyError:

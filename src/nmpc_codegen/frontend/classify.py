@@ -139,7 +139,7 @@ def _require(ocp: OCP) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Scalar:
-    """One scalar row of a statement."""
+    """A scalar is one scalar row of a statement."""
 
     name: str
     expression: Any
@@ -302,7 +302,7 @@ def _stage(augmented: Augmented, h: list[Any], rows: tuple[Row, ...], stage: Sta
 
 
 def _bare(ocp: OCP, residuals: list[ResidualTerm], nx: int) -> tuple[int, ...]:
-    """Return for every residual the index in (x, u) of the state or control that it is, -1 for other expressions."""
+    """Return for every residual the index in (x, u) of its state or control, -1 for other expressions."""
     found = [ocp.element(r.y[i]) for r in residuals for i in range(r.y.numel())]
     first = {"state": 0, "control": nx}
     return tuple(-1 if e is None or e.kind not in first else first[e.kind] + e.index for e in found)

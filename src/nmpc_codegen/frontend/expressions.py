@@ -1,4 +1,4 @@
-"""An OCP reads expressions: their symbols, those of the node before and of time, and the dynamics."""
+"""This part of OCP provides symbols (states, controls, previous controls, time) and checks expressions and dynamics."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NODE: tuple[Kind, ...] = ("state", "control", "parameter", "algebraic", "previou
 
 
 class Expressions(StatedProblem):
-    """The part of an OCP that reads expressions."""
+    """This part of OCP checks expressions."""
 
     @property
     def x(self) -> Any:
@@ -60,14 +60,15 @@ class Expressions(StatedProblem):
 
 
 class NodeBefore(Expressions):
-    """The part of an OCP with symbols for the controls of the node before, their rates, and time."""
+    """This part of OCP has symbols for the controls of the previous node, their rates, and time."""
 
     def previous(self, u: Any) -> Any:
-        """Return the control of the node before, u_{k-1} at node k and u_{N-1} at node N; SX of the shape of u.
+        """Return the previous control, u_{k-1} at node k and u_{N-1} at node N; SX of the shape of u.
 
-        At node 0 it is the control that was applied last: the one that step() or feedback() returned, unless
+        At node 0 this is the control that was applied last: the one that step() or feedback() returned, unless
         set_previous() states what the actuator did. init() and reset() set it to the first control of their plan, the
-        reference of u. It may occur in expressions of all nodes; in dynamics it is a dead time of one sample.
+        reference of u. The previous control may occur in expressions of all nodes; in dynamics it models a dead time of
+        one sample.
 
         Args:
             u: symbol, name, or a column of symbols of controls.
@@ -137,7 +138,7 @@ class NodeBefore(Expressions):
 
 
 class Dynamics(NodeBefore):
-    """The part of an OCP that states the dynamics of states."""
+    """This part of OCP states the dynamics of states."""
 
     def dynamics(self, rhs: Any, *, discrete: Any = False) -> None:
         """State the derivatives x' = f(x, u, p), or the next states x_{k+1} = f(x_k, u_k, p_k) if ``discrete``.

@@ -31,7 +31,7 @@ OF_PROBLEM: Mapping[str, str] = {
     "delta_u": _RATE,
     "deltaU": _RATE,
     "add_delta_u": _RATE,
-    "u_prev": "previous(u), the control of the node before",
+    "u_prev": "previous(u), the control of the previous node",
     "n_control_horizon": _BLOCKS,
     "control_horizon": _BLOCKS,
     "move_blocking": _BLOCKS,

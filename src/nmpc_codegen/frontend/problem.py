@@ -52,7 +52,7 @@ def no_data() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """The functions of a node: least-squares residual, general cost, general rows.
+    """A stage has the functions of a node: least-squares residual, general cost, general rows.
 
     ``x`` (nx,), ``u`` (nu,), which is empty at the start and terminal stages, ``p`` (np,) and the interval's length
     ``dt`` are SX symbols; all expressions are written in them. ``scale_with_dt`` marks the residuals whose weight is
@@ -79,7 +79,7 @@ class Stage:
 
     @property
     def y_elements(self) -> tuple[int, ...]:
-        """Return for every residual the index in (x, u) of the state or control that it is, -1 for another one."""
+        """Return for every residual the index in (x, u) of its state or control, -1 for other expressions."""
         if self.bare is not None:
             return self.bare
         symbols = (*elements(self.x), *elements(self.u))
@@ -104,8 +104,8 @@ class Stage:
     def target_of(self, place: int) -> tuple[Expression, Expression] | None:
         """Return (value in (p, yref), yref) of the residual that defines a target for element ``place`` of (x, u).
 
-        It is the first residual that is this element, else the first one that is an affine function of this element
-        only. The value makes the residual equal to yref. Return None if there is no such residual.
+        The first residual that is this element defines the target, else the first one that is an affine function of
+        this element only. The value makes the residual equal to yref. Return None if there is no such residual.
         """
         places, values, yref = self._targets
         for known in (self.y_elements, places):
@@ -153,7 +153,7 @@ def _is_curved(stage: Stage) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Algebra:
-    """Algebraic variables, which equations r(x, z, u, p) = 0 determine at every node and stage.
+    """Equations r(x, z, u, p) = 0 determine algebraic variables at every node and stage.
 
     signals: the user's variables; values: Function (x, u, p, z) -> all of them; names, start, scale: of z, the
     variables that Newton's method solves for, which may include derivatives of states; equations: Function (x, u, p, z)
@@ -177,18 +177,18 @@ class Algebra:
 
     @property
     def first(self) -> Array:
-        """Return z at the first plan, or the start of Newton's method if it finds none."""
+        """Return z at the first plan, or the start of Newton's method if it finds no z."""
         return np.where(np.isfinite(self.found), self.found, self.start)
 
     @property
     def data(self) -> int:
-        """Return how many numbers a node stores behind its parameters: z, and W = -(dr/dz)^-1 row by row."""
+        """Return the number of values that a node stores after its parameters: z, and W = -(dr/dz)^-1 row by row."""
         return self.size * (1 + self.size)
 
 
 @dataclass(frozen=True, eq=False)
 class LqrRequest:
-    """A terminal cost that is computed when the integrator is known: the cost-to-go of the regulator at (x, u).
+    """A terminal cost is requested that needs the integrator: the cost-to-go of the regulator at (x, u).
 
     ``rule`` names the function (problem, options) -> problem that computes it. Its module belongs to a later stage and
     loads SciPy, so it is imported only if a problem needs it.
@@ -203,7 +203,7 @@ class LqrRequest:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The whole optimal control problem, validated.
+    """A problem is the whole optimal control problem, validated.
 
     ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` holds the N interval
     lengths. ``uses`` names the features beyond the core ("soft rows", "coupled rows", "free initial state", "general
@@ -317,15 +317,15 @@ class Problem:
         return reduce
 
     def controls_before(self, x: Sequence[T]) -> list[T | float]:
-        """Return the controls of the node before that x contains, 0 for the others."""
+        """Return the controls of the previous node that x contains, 0 for the others."""
         places = self.augmentation.places
         return [x[self.measured + places[j]] if j in places else 0.0 for j in range(self.nu)]
 
     def node_values(self, x: Array, u: Array, p: Array | None = None) -> Array:
-        """Return the numbers that expressions of a node read in place of p: parameters, and then z and W at (x, u).
+        """Return the values that expressions of a node use for p: parameters, and then z and W at (x, u).
 
         Parameters are by default the declared ones. Newton's method starts from z at the first plan; NaN if it fails.
-        At node N, which has no controls, those of the node before are used.
+        At node N, which has no controls, those of node N - 1 are used.
         """
         p = self.p_value if p is None else p
         if self.algebra is None or not self.solved:
@@ -454,7 +454,10 @@ class Problem:
 
     @property
     def solved(self) -> int:
-        """Return how many numbers of a node Newton's method finds; in expressions they follow the parameters."""
+        """Return the number of values of a node that Newton's method finds.
+
+        In expressions they follow the parameters.
+        """
         return self.algebra.data if self.algebra else 0
 
     @property
@@ -474,7 +477,7 @@ class Problem:
 
     @property
     def data(self) -> Array:
-        """Return the declared values of all that expressions read in place of p; results of Newton's method are NaN."""
+        """Return the declared values that expressions use for p; results of Newton's method are NaN."""
         return np.concatenate([self.p_value, np.full(self.solved, np.nan)])
 
     @property
@@ -532,7 +535,7 @@ class Problem:
 
     @property
     def end_rows(self) -> tuple[int, ...]:
-        """Return the indices in qp_rows of hard rows that hold only at node N, including coupled rows."""
+        """Return the indices in qp_rows of hard rows that are imposed only at node N, including coupled rows."""
         found = []
         for m, (k, _, _, row) in enumerate(self.qp_rows):
             stated = self.rows[row]

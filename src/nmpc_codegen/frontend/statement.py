@@ -24,7 +24,7 @@ NOTHING = ca.SX(0, 1)
 
 @dataclass(frozen=True, eq=False)
 class Declared:
-    """A declared signal and its SX symbol."""
+    """A declared signal has an SX symbol."""
 
     signal: Signal
     symbol: Any
@@ -32,7 +32,7 @@ class Declared:
 
 @dataclass(frozen=True)
 class Element:
-    """One scalar symbol: its kind, its index in the stacked vector of that kind, its name."""
+    """An element is one scalar symbol: its kind, its index in the stacked vector of that kind, its name."""
 
     kind: Kind
     index: int
@@ -64,7 +64,7 @@ class GeneralCost:
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """Scalar rows lower <= expression <= upper as stated; ``at`` is None for a coupled condition.
+    """A statement is scalar rows lower <= expression <= upper; ``at`` is None for a coupled condition.
 
     ``stated`` holds the names that the user gave. Rows with different penalties on their sides become two statements,
     one for each ``side``, and their names say so, unless only one side exists: it is ``alone``.
@@ -96,7 +96,7 @@ class Equation:
 
 
 class StatedProblem:
-    """The name and grid of an OCP, and all its statements in the order of the calls.
+    """A stated problem has the name and grid of an OCP, and all its statements in the order of the calls.
 
     Attributes:
         states: declarations of the states.
@@ -107,7 +107,7 @@ class StatedProblem:
         slopes: {index in x: SX}, der(x) of a state in implicit equations.
         derivatives: {index in x: SX}, the derivative of a state.
         maps: {index in x: SX}, the value of a discrete state at the next node.
-        remembered: {index in u: SX}, the control at the node before.
+        remembered: {index in u: SX}, the control at the previous node.
         blocks: {index in u: lengths of the blocks of intervals}.
         node_data: symbols after all parameters, for results of Newton's method at a node.
         residuals: least-squares terms.

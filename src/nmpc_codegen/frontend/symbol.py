@@ -17,7 +17,7 @@ COMPARISONS = {ca.OP_LE: "<=", ca.OP_LT: "<", ca.OP_EQ: "==", ca.OP_NE: "!="}
 
 
 class Comparison(ca.SX):
-    """The SX of ``p <= 1``; taking its truth value raises a ProblemError that explains how to state a row."""
+    """A comparison is the SX of ``p <= 1``; its truth value raises a ProblemError that explains how to state a row."""
 
     __hash__ = ca.SX.__hash__
 

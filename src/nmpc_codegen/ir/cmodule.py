@@ -27,7 +27,7 @@ from nmpc_codegen.targets import Target
 
 @dataclass(frozen=True)
 class Macro:
-    """A size: ``#define <PREFIX>_<name> value`` in the header if ``public``, else ``#define <name> value`` in the .c.
+    """A macro is a size: ``#define <PREFIX>_<name> value`` in the header if ``public``, else ``#define <name> value``.
 
     ``shown`` is the number in the header if it differs from that of the unit, which also counts added states.
     """
@@ -66,7 +66,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Setting:
-    """A member of the solver that init() fills from the table of declared values.
+    """A setting is a member of the solver that init() fills from the table of declared values.
 
     The member holds ``copies`` blocks of ``entries`` numbers: 1 or N blocks for data of the path; 2 or N + 1 for data
     of all nodes, where the last one is terminal; 1 for data of the terminal node only.
@@ -80,7 +80,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Setter:
-    """The functions that change one kind of data (a field of Online) at run time.
+    """A setter is a group of functions that change one kind of data (a field of Online) at run time.
 
     ``nodes`` describes the allowed values of the node k besides ALL.
     """
@@ -90,18 +90,18 @@ class Setter:
 
     @property
     def template(self) -> str:
-        """Return the template of their definitions."""
+        """Return the template with the definitions of the functions."""
         return f"settings/{self.option}.c.jinja"
 
     @property
     def declarations(self) -> str:
-        """Return the template of their prototypes."""
+        """Return the template with the prototypes of the functions."""
         return f"settings/{self.option}.h.jinja"
 
 
 @dataclass(frozen=True)
 class Section:
-    """One section of the .c: its title, template, exact operation count (None if it depends on data), bytes of RAM."""
+    """A section of the .c has a title, a template, an operation count (None: depends on data), and bytes of RAM."""
 
     title: str
     template: str
@@ -111,7 +111,7 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class CModule:
-    """The content of the templates, which take no decisions."""
+    """A CModule is the content of the templates, which take no decisions."""
 
     description: PackageDescription
     target: Target
@@ -151,7 +151,7 @@ class CModule:
 
     @property
     def style(self) -> CStyle:
-        """Return the spelling of its unit."""
+        """Return the C style of the unit."""
         return unit_style(self.precision, self.features.own_math, self.names)
 
     @property
@@ -169,7 +169,7 @@ class CModule:
 
     @property
     def stage_parts(self) -> tuple[str, ...]:
-        """Return the title of the part that functions of an interval call, if there is one."""
+        """Return the title of the C file that interval functions call, if there is one."""
         called = any(isinstance(r, LoopedRoutine) and r.calls_parts for r in self.routines)
         return ("intervals",) if called else ()
 
@@ -196,7 +196,7 @@ class CModule:
 
     @property
     def statuses(self) -> tuple[Status, ...]:
-        """Return the status codes that its functions return, in the order of their values."""
+        """Return the status codes that the package's functions return, in the order of their values."""
         return tuple(Status)
 
     @property

@@ -23,9 +23,9 @@ from nmpc_codegen.package.opcount import OpCount as OpCount
 
 @dataclass(frozen=True)
 class Operation:
-    """The C spelling ``c`` of a CasADi opcode, with operands {0} and {1}, and its count class.
+    """An operation is the C spelling ``c`` of a CasADi opcode, with operands {0} and {1}, and its count class.
 
-    ``function`` names the function of math.h that it calls, if any.
+    ``function`` names the function of math.h that the operation calls, if any.
     """
 
     c: str
@@ -115,7 +115,7 @@ def opcode_name(opcode: int) -> str:
 
 @dataclass(frozen=True)
 class Port:
-    """A named vector or row-major matrix that a routine reads or writes; ``cols`` is 0 for a vector.
+    """A port is a named vector or row-major matrix that a routine reads or writes; ``cols`` is 0 for a vector.
 
     If ``flat``, C calls pass a pointer to its first number, which may lie in a matrix. If ``whole``, it is an int
     passed by value, which no expression reads.
@@ -145,7 +145,7 @@ class Instruction(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """An element of a buffer that a sweep computes, with the comment on its stage and a mark of the stage for names."""
+    """A watched element of a buffer is computed by a sweep; it has a comment on its stage, and a suffix for names."""
 
     note: str
     buffer: str
@@ -155,7 +155,7 @@ class Watched(NamedTuple):
 
 @dataclass(frozen=True)
 class Part:
-    """Values of a kernel that belong together: the comment above them, and those that are elements of buffers."""
+    """A part has values of a kernel that belong together: the comment above them, and the elements of buffers."""
 
     note: str
     values: frozenset[int]
@@ -164,7 +164,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """A straight-line C function: all inputs are loaded before the first store, so outputs may alias inputs.
+    """A kernel is a straight-line C function that loads all inputs before the first store; outputs may alias inputs.
 
     ``stores`` lists (output port, row-major element, value index) of the structural nonzeros. Structurally zero
     elements are never written, so the memory of an output must hold zeros there. ``parts`` holds the values in printing
@@ -192,7 +192,7 @@ class Kernel:
 
     @property
     def kernels(self) -> tuple[Kernel, ...]:
-        """Return the straight-line functions of which it consists."""
+        """Return the straight-line functions of the kernel, which is only itself."""
         return (self,)
 
     def is_zero(self, value: int) -> bool:
@@ -206,20 +206,20 @@ class Kernel:
 
     @property
     def reads(self) -> tuple[Port, ...]:
-        """Return the inputs that it loads; only these are parameters of its C function."""
+        """Return the inputs that the kernel loads; only these are parameters of its C function."""
         used = {ins.args[0] for ins in self.instructions if ins.opcode == ca.OP_INPUT}
         return tuple(p for i, p in enumerate(self.inputs) if i in used)
 
     @property
     def writes(self) -> tuple[Port, ...]:
-        """Return the outputs that it stores; a kernel without outputs computes nothing and is not printed."""
+        """Return the outputs that the kernel stores; a kernel without outputs computes nothing and is not printed."""
         stored = {o for o, _, _ in self.stores}
         return tuple(p for o, p in enumerate(self.outputs) if o in stored)
 
     def nonzero_values(self, inputs: Sequence[Sequence[bool]]) -> list[bool]:
         """Return for every value False if it is structurally zero.
 
-        ``inputs`` holds these marks for all input elements.
+        ``inputs`` holds these flags for all input elements.
         """
         marks: list[bool] = []
         for ins in self.instructions:
@@ -236,7 +236,7 @@ class Kernel:
         return marks
 
     def with_zeros(self, port: str, entries: Sequence[tuple[int, int]]) -> Kernel:
-        """Return this kernel with stores of zero to (row, column) ``entries`` of an output that it does not write."""
+        """Return this kernel with stores of zero to (row, column) ``entries`` of an output that it did not store."""
         output = next(i for i, p in enumerate(self.outputs) if p.name == port)
         written = {e for o, e, _ in self.stores if o == output}
         missing = [r * self.outputs[output].cols + c for r, c in entries]
@@ -416,7 +416,7 @@ def _row_major(sparsity: Sparsity, port: Port) -> list[int]:
 
 
 def _reciprocals(instructions: Sequence[Instruction]) -> tuple[list[Instruction], list[int]]:
-    """Replace divisions by constants, and by repeated divisors, by products with reciprocals.
+    """Turn divisions whose divisor is constant or used repeatedly into multiplications by its reciprocal.
 
     A division takes as long as ten products; derivatives of a quotient contain several divisions by the same
     denominator. The second result is the new number of every value.

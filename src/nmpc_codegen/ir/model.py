@@ -14,7 +14,7 @@ from nmpc_codegen.package.opcount import OpCount
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """The dynamics between two nodes.
+    """An interval has the dynamics between two nodes as functions.
 
     linearize: (x, u, p, dt) -> x_next, S = d x_next / d(x, u); step: (x, u, p, h) -> x_next, one integration step;
     curved: (x, u, p, dt, yref, W, mu, lam) -> x_next, S, g, Q, for Hessians with second derivatives of the dynamics.
@@ -39,7 +39,7 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class IntervalProducts:
-    """The dynamics between two nodes, and products with their Jacobians A = d Phi / dx and B = d Phi / du.
+    """The products are those of vectors with the Jacobians A = d Phi / dx and B = d Phi / du of an interval.
 
     value: (x, u, p, dt) -> x_next; adjoint: (x, u, p, dt, lam) -> lam_x = A' lam, lam_u = B' lam;
     forced: (x, u, p, dt) -> x_next, S_next = B; free: (x, u, p, dt, S) -> x_next, S_next = A S. S and S_next are
@@ -54,7 +54,7 @@ class IntervalProducts:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """The Hessian block Q of a stage: its nonzeros (lower triangle), and the routine that fills it.
+    """The Hessian block Q of a stage has its nonzeros (lower triangle), and the routine that fills it.
 
     ``hessian`` is None if Interval.curved computes the block; ``curvature`` is sum_i mu_i d2 h_i if it is added
     separately.
@@ -98,7 +98,7 @@ class StageModel:
 
 @dataclass(frozen=True, eq=False)
 class HessianModel:
-    """The Hessian blocks of all stages.
+    """A Hessian model has the Hessian blocks of all stages.
 
     ``start``, the block of the start cost, and ``initial``, that of the coupled rows, are added to the first path
     block; ``curved``: see Interval.
@@ -120,7 +120,7 @@ class HessianModel:
 
 @dataclass(frozen=True, eq=False)
 class ModelFunctions:
-    """All functions of a package that are lifted from CasADi.
+    """The functions of a package are lifted from CasADi.
 
     start: cost of node 0 in addition to that of the path; its Hessian block and ``initial``, the block of the coupled
     rows, are added to the first block of the path. coupled: r(x_0, x_N) and its Jacobians. exact: path_exact,
@@ -180,7 +180,7 @@ class ModelFunctions:
 def products_of(interval: Interval, blocks: HessianModel, previous: int) -> Products:
     """Return the products with the stage matrices, whose patterns are the elements that the routines store.
 
-    ``previous`` is the number of last states that store controls of the node before.
+    ``previous`` is the number of last states that store controls of the previous node.
     """
     S = next(port for port in interval.linearize.outputs if port.name == "S")
     patterns = pattern(interval.linearize, "S"), blocks.Q, blocks.terminal.Q

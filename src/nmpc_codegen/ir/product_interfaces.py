@@ -17,7 +17,7 @@ from nmpc_codegen.package.struct_layout import Size
 
 @dataclass(frozen=True, eq=False)
 class Interface:
-    """A product as a C function: its name, formula, parameters, and the places of its buffers."""
+    """The interface of a product is a C function: its name, formula, parameters, and the places of its buffers."""
 
     name: str
     doc: str

@@ -21,7 +21,7 @@ Entry = tuple[int, int, int]
 
 
 class StageSweeps(Protocol):
-    """One implementation of all products: first those with a vector, then those with a panel of columns."""
+    """Stage sweeps implement all products: first those with a vector, then those with a panel of columns."""
 
     def state_step(self) -> LoopedRoutine: ...
     def adjoint_step(self) -> LoopedRoutine: ...
@@ -39,9 +39,9 @@ def entries(lower: Pattern, i: int) -> list[Entry]:
 
 
 class WrittenOut:
-    """The products over structural nonzeros, row by row.
+    """The products are written out over structural nonzeros, row by row.
 
-    Nodes are processed one after the other. Terms with the result of the node before come last in every sum, so that
+    Nodes are processed one after the other. Terms with the result of the previous node come last in every sum, so that
     the other terms need not wait for it.
     """
 
@@ -99,7 +99,7 @@ class WrittenOut:
 
 
 class _Operands:
-    """Symbols of the operands of a product; a panel is represented by one of its columns."""
+    """The operands of a product are symbols; one column represents a panel."""
 
     def __init__(self, interface: Interface, panel: bool = False) -> None:
         self._interface, self._panel = interface, panel

@@ -19,9 +19,9 @@ from nmpc_codegen.package.opcount import OpCount
 
 @dataclass(frozen=True)
 class Products:
-    """The products for given structural nonzeros (row, column) of S = [A B] and of the lower triangles Q and Q_N.
+    """The products belong to structural nonzeros (row, column) of S = [A B] and of the lower triangles Q and Q_N.
 
-    ``banded`` is the number of last states that store controls of the node before; panels leave out their products.
+    ``banded`` is the number of last states that store controls of the previous node; panels leave out their products.
     """
 
     nx: int
@@ -38,7 +38,7 @@ class Products:
 
     @property
     def spelling(self) -> str:
-        """Return the word for their form: "nonzeros" or "loops"."""
+        """Return the word for how the products are written: "nonzeros" or "loops"."""
         return "nonzeros" if self.written_out else "loops"
 
     @cached_property
@@ -129,7 +129,7 @@ class Products:
 
 
 def bandwidth(previous: int, nx: int, S: Pattern, Q: Pattern, Q_N: Pattern) -> int:
-    """Return ``previous``, the number of last states that store controls of the node before, if they act on no state.
+    """Return ``previous``, the number of last states that store controls of the previous node, if they act on no state.
 
     They must act on none by the dynamics or by products in the cost; their part of a condensed Hessian is then a band
     beside the diagonal. Otherwise return 0.

@@ -37,7 +37,7 @@ class Affine:
         return Affine(row, along), Affine(column, tuple((i, c) for i, c in self.terms if c % columns))
 
     def at_one(self, index: str, value: int) -> int:
-        """Return the constant with the term of one index at a value of it."""
+        """Return the constant plus the term of one index at one of its values."""
         return self.constant + sum(c * value for i, c in self.terms if i == index)
 
     def c(self) -> str:
@@ -65,7 +65,7 @@ class Slice:
 
 @dataclass(frozen=True, eq=False)
 class Call:
-    """The call outs = leaf(ins).
+    """A call is outs = leaf(ins).
 
     The leaf is an SX Function of dense vectors, and leaves of equal names are one C function.
 
@@ -96,7 +96,7 @@ class Call:
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """The call outs = function(ins) of a C function in a part, whose text is handwritten.
+    """A written call is outs = function(ins) of a C function in a part, whose text is handwritten.
 
     ins: slices, or texts of arguments; count: operations of one run; kernels: kernels that it evaluates; nonzeros:
     elements of outs in these buffers that may be nonzero; in other buffers all.
@@ -111,7 +111,7 @@ class Written:
 
     @property
     def slices(self) -> tuple[Slice, ...]:
-        """Return the slices among its arguments."""
+        """Return the slices among the arguments of the call."""
         return (*(s for s in self.ins if isinstance(s, Slice)), *self.outs)
 
 
@@ -138,7 +138,7 @@ class For:
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """A loop over the entries n = first .. last - 1 of tables, whose values are bound to names.
+    """A loop runs over the entries n = first .. last - 1 of tables, whose values are bound to names.
 
     ``tables`` holds (name, C name of the table, its values), all of one length.
     """
@@ -157,7 +157,7 @@ class Entries:
 
 @dataclass(frozen=True, eq=False)
 class If:
-    """A condition ``left relation right`` for its body: ``left`` is an index, ``right`` an index or a number."""
+    """A condition ``left relation right`` guards its body: ``left`` is an index, ``right`` an index or a number."""
 
     left: str
     relation: Literal["<", "!="]
@@ -201,7 +201,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Frame:
-    """The C function of a sweep whose buffers are members of structs: its parameters, and the places of all buffers."""
+    """A frame is the C function of a sweep whose buffers are members of structs: parameters and places of buffers."""
 
     parameters: tuple[str, ...]
     places: Mapping[str, Place]
@@ -210,7 +210,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A named program from input ports to output ports through local buffers (name, size).
+    """A sweep is a named program from input ports to output ports through local buffers (name, size).
 
     columns: {local buffer that is a matrix: length of its rows}. steps: number of steps of a scheme, whose loop is
     "step". meanings: {local buffer: its content}, for comments.
@@ -300,7 +300,7 @@ def lift_straight(sweep: Sweep) -> Kernel:
 
 @dataclass(frozen=True, eq=False)
 class LoopedRoutine:
-    """A Sweep that is printed as loops; its leaves are lifted into Kernels that are named after the sweep."""
+    """A looped routine is a Sweep that is printed as loops; its leaves are Kernels that are named after the sweep."""
 
     sweep: Sweep
     leaves: Mapping[str, Kernel]
@@ -338,13 +338,13 @@ class LoopedRoutine:
 
     @cached_property
     def touched(self) -> frozenset[str]:
-        """Return the buffers that occur in its C text."""
+        """Return the buffers that occur in the C text of the routine."""
         called = (b for c in calls(self.sweep.body) for b in _touched_buffers(c, self.leaves[c.leaf.name()]))
         return frozenset(called) | {s.buffer for node in part_calls(self.sweep.body) for s in node.slices}
 
     @property
     def calls_parts(self) -> bool:
-        """Return True if it calls functions that are written in C."""
+        """Return True if the routine calls functions that are written in C."""
         return any(True for _ in part_calls(self.sweep.body))
 
     @property
@@ -356,7 +356,7 @@ class LoopedRoutine:
     def statements(self) -> int:
         """Return the number of instructions of all calls, with each loop counted once.
 
-        It is the code size if all leaves are inlined.
+        This number is the code size if all leaves are inlined.
         """
         return sum(len(self.leaves[c.leaf.name()].instructions) for c in calls(self.sweep.body))
 
@@ -370,7 +370,7 @@ Routine = Kernel | LoopedRoutine
 
 
 def nonzeros(routine: LoopedRoutine) -> dict[str, list[int]]:
-    """Return the elements of every output that are not structurally zero, found by running the loops on marks."""
+    """Return the elements of every output that are not structurally zero, found by running the loops on flags."""
     sweep = routine.sweep
     buffers = {p.name: [False] * p.size for p in sweep.outputs}
     buffers |= {p.name: [True] * p.size for p in sweep.inputs}

@@ -1,7 +1,7 @@
 """These constants were chosen for speed: they change the form of the generated code, never its results.
 
-Each one names the topic of the benchmarks that decides it, for `python -m benchmarks --only TOPIC`; measure a new value
-there before changing it here.
+Each constant names the topic of the benchmarks that justifies it, for `python -m benchmarks --only TOPIC`; measure a
+new value there before changing it here.
 """
 
 from __future__ import annotations

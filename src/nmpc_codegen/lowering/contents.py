@@ -1,4 +1,4 @@
-"""The README.md of a package tells where the lines of its .c come from, and which options shorten it."""
+"""The README.md of a package states how many lines of its .c each part has, and which options shorten the .c."""
 
 from __future__ import annotations
 

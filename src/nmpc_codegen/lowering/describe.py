@@ -61,7 +61,7 @@ def describe(
 
 
 def _residuals(problem: Problem, stage: Stage) -> tuple[Residual, ...]:
-    """Return the residuals of a stage, with the states and controls that they are."""
+    """Return the residuals of a stage, each with the state or control that it equals."""
     names = (*problem.state_names, *problem.control_names, "")  # the last one for -1
     signals = [names[place] for place in stage.y_elements]
     values = [float(value) for value in stage.reference]

@@ -23,7 +23,7 @@ from nmpc_codegen.targets import Target
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Model(ModelFunctions):
-    """The problem, the choices for it, and every function of the package."""
+    """A model has the problem, the choices for it, and every function of the package."""
 
     problem: CompleteProblem
     choices: Choices
@@ -50,7 +50,7 @@ class Model(ModelFunctions):
 
 
 def linearize(problem: CompleteProblem, choices: Choices) -> Model:
-    """Return the functions of the package of a problem; those that have been counted are not made again."""
+    """Return the functions of the package of a problem, with those that have already been made for counts."""
     found = _functions(problem, choices)
     functions = with_node_data(found, problem) if problem.solved else found
     of_node = {field.name: getattr(functions, field.name) for field in fields(ModelFunctions)}
@@ -108,7 +108,7 @@ def stage_model(problem: Problem, integrator: Integrator, cost: StageCost) -> St
 def stage_product(problem: Problem, integrator: Integrator, cost: StageCost) -> Routine:
     """Return the Hessian of the cost of a stage times a vector d.
 
-    For an integral, only the second derivatives of its rate, along d, are included.
+    For an integrated cost, only the second derivatives of the cost rate are included, along d.
     """
     if cost.name != "path" or problem.path.cost_rate is None:
         return cost.product_kernel()

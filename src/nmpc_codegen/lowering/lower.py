@@ -1,6 +1,6 @@
 """lower() turns a Model into a CModule: all sizes and all C names, gathered from their owners.
 
-The owners are the components, whose classes it never tests, and the files of stated/.
+The owners are the components, whose classes are never tested, and the files of stated/.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def _with_members_apart(module: CModule) -> CModule:
 
 
 def _check_math(model: Model, foreign: list[str]) -> None:
-    """Raise OptionError if the package needs functions of math.h that have no text of their own."""
+    """Raise OptionError if the package needs functions of math.h that the own elementary functions lack."""
     default = f", the default of the target {model.target.name}," if model.target.math == "own" else ""
     clash = f'math="own"{default} (--set math=own) clashes with'
     if foreign:
@@ -157,7 +157,7 @@ def _section_count(counts: Counts) -> OpCount | None:
 
 
 def _macros(model: Model, dims: Dims, entries: Iterable[EntryPoint], whole: bool) -> tuple[Macro, ...]:
-    """Return the sizes of all owners; those that the functions of the header name are public."""
+    """Return the sizes of all owners; sizes that the functions of the header name are public."""
     problem, parts = model.problem, model.parts
     number, *sizes = data.parameter_macros(problem)
     macros = [

@@ -59,7 +59,7 @@ def row_functions(module: CModule) -> dict[str, Any]:
 
 
 def row_ranges(module: CModule) -> dict[str, tuple[int, int]]:
-    """Return {function of rows: (least, greatest value that it returns)}."""
+    """Return {function of rows: (least, greatest return value)}."""
     entries = {name: [row[i] for row in module.rows] or [0] for i, name in enumerate(COLUMNS)}
     found = {f"row_{name}": (min(values), max(values)) for name, values in entries.items() if name != "kind"}
     for number, word in enumerate(IMPOSED_KINDS):

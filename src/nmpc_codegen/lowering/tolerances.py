@@ -286,10 +286,10 @@ FACTORS: dict[str, tuple[float, str]] = {
     ),
     "estimate_known": (8.0, "least deviation before the window, in epsilons of that of the state or of its scale"),
     "innovation_quantile": (4.5, "quantile of the normal distribution beyond which innovations are unexpected"),
-    "innovation_memory": (0.9, "weight of innovations relative to those of the sample before"),
+    "innovation_memory": (0.9, "weight of innovations relative to those of the previous sample"),
     "innovation_memory_of_signs": (
         0.8,
-        "weight of innovations with their signs relative to those of the sample before",
+        "weight of innovations with their signs relative to those of the previous sample",
     ),
     "innovation_cube_root": (2.0 / 9.0, "variance of the cube root of a mean square of one normal number"),
     "innovation_far": (5.0, "innovation that no noise explains, in standard deviations"),
@@ -322,7 +322,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     ),
     "hessian_floor": (1e-8, "least eigenvalue of a Hessian that is made convex, relative to the largest one"),
     "augmented_first_radius": (10.0, "radius of the trust region of a new plan, in the scales"),
-    "relaxation_falls": (0.999, "violation, relative to that of the sample before, below which it falls"),
+    "relaxation_falls": (0.999, "violation, relative to that of the previous sample, below which it falls"),
 }
 
 #: Tolerance -> multiple of the square root of the machine epsilon that it is at least.

@@ -158,7 +158,7 @@ def _is_probed(problem: Problem, x: Array, u: Array, j: int, saddles: Saddles) -
 
 
 def _asked_for(problem: Problem, x: Array, u: Array) -> Marks:
-    """Return the states along which the cost changes; if there are none, those in residuals, costs and rows."""
+    """Return the states along which the cost changes or, if there are none, the states in residuals, costs and rows."""
     slopes, depends = np.zeros(problem.nx, dtype=bool), np.zeros(problem.nx, dtype=bool)
     for stage, control in ((problem.path, u), (problem.terminal, np.zeros(0))):
         cost = sum(_costs(stage), ca.SX(0))
@@ -173,7 +173,7 @@ def _asked_for(problem: Problem, x: Array, u: Array) -> Marks:
 
 
 def _movable(problem: Problem, x: Array, u: Array) -> tuple[Marks, Marks]:
-    """Return the controls with an influence at the first plan, and those that get one from variables that move.
+    """Return the controls with an influence at the first plan, and those that a move of other variables gives one.
 
     Parameters are drawn at random. Controls outside the dynamics count as both.
     """
@@ -238,7 +238,7 @@ def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
 
 
 def _is_lost(value: float, row: Row, curvature: Array) -> bool:
-    """Return True if a row without a gradient is violated, or active with a curvature that leads out of its bounds."""
+    """Return True if a row with a zero gradient is violated, or is active and bends to outside its bounds."""
     below, above = _room(value - row.lower, row.lower), _room(row.upper - value, row.upper)
     if min(below, above) < -ACTIVE:
         return True

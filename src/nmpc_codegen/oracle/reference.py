@@ -1,7 +1,7 @@
 """IPOPT solves the optimal control problem as a nonlinear program: the oracle of --check, tests and benchmarks.
 
-It is direct multiple shooting in CasADi, implemented independently of the code generator. trajectory.py defines the
-signs of multipliers and the data of the nodes, and computes the KKT residuals of a solution without IPOPT.
+The method is direct multiple shooting in CasADi, implemented independently of the code generator. trajectory.py defines
+the signs of multipliers and the data of the nodes, and computes the KKT residuals of a solution without IPOPT.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class Reference:
         self._solver = ca.nlpsol("reference", "ipopt", nlp, options)
 
     def _values(self, k: int) -> Any:
-        """Return the numbers that expressions of node k read in place of p; algebraic variables become variables."""
+        """Return the values that expressions of node k use for p; algebraic variables become variables."""
         problem, algebra, p = self.problem, self.problem.algebra, self._data.p[k]
         stage = problem.path if k < problem.N else problem.terminal
         if algebra is None or not problem.solved:

@@ -24,9 +24,9 @@ from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 
 @dataclass(frozen=True, eq=False)
 class Tableau:
-    """A Runge-Kutta scheme: A (s, s), b (s,), ``steps`` equal steps per interval.
+    """A tableau is a Runge-Kutta scheme: A (s, s), b (s,), ``steps`` equal steps per interval.
 
-    It is explicit if A is strictly lower triangular.
+    The scheme is explicit if A is strictly lower triangular.
     """
 
     A: tuple[tuple[float, ...], ...]
@@ -84,7 +84,7 @@ class Residuals:
 
     @property
     def worst(self) -> float:
-        """Return the largest of the four; NaN if one of them is NaN."""
+        """Return the largest of the four residuals; NaN if one of them is NaN."""
         return float(np.max([self.stationarity, self.equality, self.inequality, self.complementarity]))
 
 
@@ -250,7 +250,7 @@ def stage_equations(problem: Problem, integrator: Tableau) -> Any:
 
 
 def node_values(p: Any, z: Any) -> Any:
-    """Return the values that expressions read in place of p if z is a separate variable: z, and no derivative of it."""
+    """Return the values that expressions use for p if z is a separate variable: z, and no derivative of z."""
     return ca.vertcat(p, z, ca.DM.zeros(z.numel() ** 2)) if z.numel() else p
 
 
@@ -296,7 +296,7 @@ def node_cost(stage: Stage) -> Any:
 
 
 def start_cost(problem: Problem) -> Any:
-    """Return the function (x, p) -> cost at node 0 beside that of the path, with declared weight and reference."""
+    """Return the function (x, p) -> additional cost at node 0, with declared weight and reference."""
     stage = problem.start
     p = ca.SX.sym("p", problem.np)
     values = node_values(p, ca.SX.zeros(len(problem.newton_names)))

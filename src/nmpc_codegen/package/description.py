@@ -61,7 +61,7 @@ class Dimensions:
 
 @dataclass(frozen=True)
 class Report:
-    """The compiler's report on a package.
+    """A report tells what the compiler has found about a package.
 
     ram_bytes: size of the solver struct; ram_bytes_by_struct: sizes of the structs in it; operations: of one call of
     every C function, unless they depend on data; linearization_operations: of all nodes together; choices: the chosen
@@ -92,7 +92,7 @@ class Report:
 
 @dataclass(frozen=True)
 class PackageDescription:
-    """The description of a whole package.
+    """A description holds all facts about a package.
 
     Each struct follows the structs that it contains, so that "solver" is last. ``ranges`` holds the least and the
     largest value of every integer member that limits a loop; the worst case of a sample follows from them.
@@ -199,7 +199,7 @@ class PackageDescription:
 
     @cached_property
     def _members(self) -> Mapping[str, Mapping[str, Field]]:
-        """Return {struct: its members by name}."""
+        """Return {struct: {name of a member: member}}."""
         return {s.name: {f.name: f for f in s.fields} for s in self.structs}
 
     def dtype(self, struct: str = "solver") -> np.dtype[Any]:

@@ -1,4 +1,4 @@
-"""Generated packages deviate from MISRA C:2012 in these rules; each has a replacement and a reason.
+"""Generated packages deviate from these rules of MISRA C:2012; each rule has a reason for the deviation.
 
 The rules are those that cppcheck's addon reports on the packages of crane, quadrotor and a tank with a parameter, a
 rate and a soft row. None of them is a mandatory rule.

@@ -11,7 +11,7 @@ from nmpc_codegen.package.signals import Signal
 
 @dataclass(frozen=True)
 class Estimation:
-    """The estimator of x from y_k = h(x_k, u_{k-1}, p_k) + noise, x_{k+1} = Phi(x_k, u_k, p_k, w_k).
+    """An estimator finds x from y_k = h(x_k, u_{k-1}, p_k) + noise, x_{k+1} = Phi(x_k, u_k, p_k, w_k).
 
     measured: the measurements y; inputs: the controls u of the plant; noise_std (ny,), process_std (nw,), initial_std
     (nx,): standard deviations of the noise, of w, and of x_0; thresholds (ny,): of Huber's loss in standard deviations,
@@ -59,7 +59,7 @@ class Estimation:
 
     @property
     def data(self) -> int:
-        """Return the number of their elements."""
+        """Return the number of values that a node stores for the estimator."""
         return self.nu * (1 + self.before) + 2 * self.ny
 
     @property

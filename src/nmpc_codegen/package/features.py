@@ -88,7 +88,7 @@ class Features:
     accumulators: bool = False
     all_measured: bool = False  # x_0 is the measured state
     augmented: bool = False  # states are added to the measured ones
-    previous: bool = False  # some added states are controls of the node before
+    previous: bool = False  # some added states are controls of the previous node
     timed: bool = False  # one added state is time
     estimator: bool = False  # states are estimated from measurements
     known_controls: bool = False  # the plant of the estimator has controls

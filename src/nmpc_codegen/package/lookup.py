@@ -19,7 +19,7 @@ Part = Literal["interval", "entry"]
 
 @dataclass(frozen=True)
 class Lookup:
-    """A function of one number that is constant between jumps, so that its derivative counts as 0.
+    """A look-up is a function of one number that is constant between jumps, so that its derivative counts as 0.
 
     "interval" returns the number i of the interval of a sorted grid ``values`` with values[i] <= x < values[i + 1]; the
     first one for smaller x and for NaN, the last one for larger x. "entry" returns values[i] for an integer i. ``name``
@@ -33,7 +33,7 @@ class Lookup:
 
     @cached_property
     def key(self) -> float:
-        """Return an integer that identifies its content."""
+        """Return an integer that identifies the content of the table."""
         text = repr((self.name, self.part, self.values, self.kinks))
         return float(int(hashlib.sha256(text.encode()).hexdigest()[:_DIGITS], 16))
 
@@ -49,11 +49,11 @@ class Lookup:
 
     @property
     def passes(self) -> int:
-        """Return the number of comparisons of the search, which halves the intervals until one is left."""
+        """Return the number of comparisons of the search, which halves the range until one interval remains."""
         return max(1, (len(self.values) - 2).bit_length()) if self.part == "interval" else 0
 
     def __call__(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Return its values in NumPy."""
+        """Return the values of the look-up in NumPy."""
         values = np.array(self.values)
         if self.part == "interval":
             found = np.searchsorted(values, np.nan_to_num(x, nan=-np.inf), side="right") - 1

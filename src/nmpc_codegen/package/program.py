@@ -25,7 +25,7 @@ Step = tuple[str, int, int, float]
 
 @dataclass(frozen=True)
 class Quantity:
-    """A named part of the problem, e.g. "row 'leash'", which is evaluated at the nodes first..last.
+    """A quantity is a named part of the problem, e.g. "row 'leash'", which is evaluated at the nodes first..last.
 
     ``squares`` marks a hard row without a lower bound above 0, whose bound may be stated on the square instead.
     """
@@ -38,10 +38,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class EdgeOperation:
-    """An operation with a restricted domain, and its text.
+    """An operation with a restricted domain has operands that may leave the domain.
 
-    operands: two steps of the program, twice the same one for a single operand; texts: those of the operands; moved:
-    marks of operands that depend on states and controls; quantities: the parts of the problem that contain it.
+    operands: indices of the two operands among the steps of the program, equal for a single operand; texts: the
+    operands as text; moved: True for operands that depend on states or controls; quantities: the parts of the problem
+    that contain the operation.
     """
 
     name: str
@@ -54,11 +55,11 @@ class EdgeOperation:
 
 @dataclass(frozen=True)
 class Program:
-    """Steps, each of which refers to earlier steps or to an input: x, u or p.
+    """A program has steps, each of which uses earlier steps or an input: x, u or p.
 
     rows: for every row of the problem the steps of its value at the nodes before the end and at the end; -1 if there is
     none, or the row is not general. operations: those with restricted domains. lookups: tables, which a step "lookup"
-    reads by the number that is its constant. residuals: steps of the path residual; scaled: marks of those whose weight
+    reads by the number that is its constant. residuals: steps of the path residual; scaled: True for those whose weight
     is multiplied by the length of the interval; costs: steps of the general cost of a node and of the integrated one,
     -1 for none. weight: the declared weight of the path residual, its diagonal, or all entries row by row. resets: rows
     that contain states which every sample resets.
@@ -75,7 +76,7 @@ class Program:
     resets: tuple[int, ...] = ()
 
     def check(self, sizes: Sequence[int], rows: int, edges: Container[str]) -> None:
-        """Raise ValueError unless everything to which it refers exists.
+        """Raise ValueError unless everything to which the program refers exists.
 
         Args:
             sizes: sizes of x, u and p.
@@ -134,7 +135,7 @@ class Program:
         return frozenset(self.steps[i][1:3] for i in self._behind(step) if self.steps[i][0] == "input")
 
     def _behind(self, *steps: int) -> set[int]:
-        """Return the steps and everything from which they are computed."""
+        """Return the given steps, and all steps from which they are computed."""
         found, waiting = set(steps), list(steps)
         while waiting:
             name, first, second, _ = self.steps[waiting.pop()]
@@ -226,10 +227,10 @@ Test = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True)
 class Finding:
-    """An operation that leaves its domain at ``nodes``, in the part ``where`` of the problem.
+    """A finding is an operation that leaves its domain at ``nodes``, in the part ``where`` of the problem.
 
-    ``operands`` are those at the first node; ``order`` is 0 if the value is not finite there, 1 for a first derivative,
-    2 for a second one.
+    ``operands`` are the values of the operands at the first node; ``order`` is 0 if the value is not finite there, 1
+    for a first derivative, 2 for a second one.
     """
 
     where: str
@@ -348,7 +349,7 @@ def _never(a: Array, b: Array) -> Array:
 
 @dataclass(frozen=True)
 class Edge:
-    """The points at which derivatives of an operation are not finite although its value is.
+    """An edge states where derivatives of an operation are not finite although its value is.
 
     ``first`` tests for the first order, ``second`` for only the second order. ``instead`` is a finite replacement, with
     the operands {a} and {b}, {sum} for the first one in a sum, {eps} for a small number, which makes equations less

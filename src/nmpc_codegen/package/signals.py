@@ -20,7 +20,7 @@ LISTED = 12
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument of an entry point: an array, a number, or a pointer to a struct.
+    """An argument of an entry point is an array, a number, or a pointer to a struct.
 
     ctype: "real", "int" or the name of a struct; shape: macros of its sizes without prefix, "" for an unspecified size.
     """
@@ -42,7 +42,7 @@ class EntryPoint:
 
 @dataclass(frozen=True)
 class Signal:
-    """A named scalar or vector among the states, controls or parameters.
+    """A signal is a named scalar or vector among the states, controls or parameters.
 
     ``offset`` is the index of its first element in the stacked vector; ``value`` holds the initial value of a state
     (x_0 for --check, --simulate, main.c), the value of a parameter, and zeros for a control. ``scale`` holds declared
@@ -68,14 +68,14 @@ class Signal:
 
 @dataclass(frozen=True)
 class Augmentation:
-    """The augmented state: states and parameters that the compiler adds to the user's.
+    """The augmented state has states and parameters that the compiler adds to the user's.
 
-    With them a node knows the controls of the node before, and its time. The added states are, in this order, ``time``
-    of the node and ``previous``, controls whose values at the node before are stored; their values at node 0 are known.
+    With these a node knows the previous controls, and its time. The added states are, in this order, ``time`` of the
+    node and ``previous``, controls whose values at the previous node are stored; their values at node 0 are known.
 
-    The added parameters of the nodes are, in this order, marks for ``held``, controls with blocks of intervals, which a
-    node takes from the one before unless it begins a block (1 where a block begins, else 0), and with ``interval`` the
-    length of the interval before. With ``idle``, the problem has no control; its package has one without effect, which
+    The added parameters of the nodes are, in this order, flags for ``held``, controls with blocks of intervals, which
+    are those of the previous node unless a block begins (1 where a block begins, else 0), and with ``interval`` the
+    length of the previous interval. With ``idle``, the problem has no control; its package has an idle one, which
     stays 0.
     """
 
@@ -97,7 +97,7 @@ class Augmentation:
 
     @property
     def places(self) -> dict[int, int]:
-        """Return {control: index among the added states of its value at the node before}."""
+        """Return {control: index among the added states of its value at the previous node}."""
         return {j: i + self.time for i, j in enumerate(self.previous)}
 
 
@@ -127,7 +127,7 @@ class Soft:
 
 @dataclass(frozen=True)
 class Row:
-    """One scalar row lower <= value <= upper that holds at ``nodes``, with its declared bounds.
+    """A row lower <= value <= upper is imposed at ``nodes``, with its declared bounds.
 
     kind "control": value = u[index], a hard simple bound at every node 0..N-1;
     kind "state": value = x[index]; ``nodes`` is empty if an equality at the end replaces the whole row (N = 1);
@@ -188,27 +188,27 @@ class Row:
         return self.soft is None and self.lower >= self.upper
 
     def place(self, at_end: bool) -> int:
-        """Return its index in x, u, the general rows of the path or (``at_end``) of the terminal stage, or r.
+        """Return the row's index in x, u, the general rows of the path or (``at_end``) of the terminal stage, or r.
 
         -1 for none.
         """
         return self.index_terminal if self.is_general and at_end else self.index
 
     def of_kind(self, x: Any, u: Any, h: Any, r: Any) -> Any:
-        """Return the argument for states, controls, general rows or coupled rows, according to its kind."""
+        """Return the argument for states, controls, general rows or coupled rows, by the kind of the row."""
         return {"control": u, "state": x, "general": h, "coupled": r}[self.kind]
 
     def value(self, x: Any, u: Any, h: Any, r: Any, at_end: bool = False) -> Any:
-        """Return its entry of x, u, the general rows h of the stage, or the coupled rows r."""
+        """Return the row's entry of x, u, the general rows h of the stage, or the coupled rows r."""
         return self.of_kind(x, u, h, r)[self.place(at_end)]
 
     def variable(self, nx: int) -> int | None:
-        """Return the index in (x, u) of the state or control that it bounds; None for other rows."""
+        """Return the index in (x, u) of the state or control that this row bounds; None for other rows."""
         return {"state": self.index, "control": nx + self.index}.get(self.kind)
 
 
 class ImposedRow(NamedTuple):
-    """A row at one of its nodes.
+    """A row is imposed at one of its nodes.
 
     kind 0: bound of a state, 1: general row, 2: coupled row; ``component`` is its index in x, h or r, ``row`` its index
     among all rows.
@@ -225,7 +225,10 @@ IMPOSED_KINDS = ("state", "general", "coupled")
 
 
 def imposed_rows(rows: Sequence[Row], N: int) -> tuple[ImposedRow, ...]:
-    """Return every row except the control bounds at all of its nodes, sorted by node; a coupled row is at node N."""
+    """Return one entry per node for every row that is no control bound, sorted by node.
+
+    Coupled rows belong to node N.
+    """
     found = []
     for i, row in enumerate(rows):
         if row.kind in IMPOSED_KINDS:
@@ -236,7 +239,7 @@ def imposed_rows(rows: Sequence[Row], N: int) -> tuple[ImposedRow, ...]:
 
 @dataclass(frozen=True)
 class Residual:
-    """One residual of the least-squares cost: its name, its declared reference, and the state or control that it is.
+    """A residual of the least-squares cost has a name, a declared reference, and the state or control that it equals.
 
     ``signal`` is "" for another expression.
     """
@@ -248,7 +251,7 @@ class Residual:
 
 @dataclass(frozen=True)
 class Names:
-    """The element names in the order of the vectors that hold them."""
+    """The names are those of all elements, in the order of the vectors that hold them."""
 
     states: tuple[str, ...]
     controls: tuple[str, ...]

@@ -102,7 +102,7 @@ KKT_PARTS = ("stationarity", "equality", "inequality", "complementarity")
 
 @dataclass(frozen=True)
 class Kkt:
-    """The largest violation of each part of the optimality conditions.
+    """KKT residuals are the largest violation of each part of the optimality conditions.
 
     Attributes:
         stationarity: largest component of the gradient of the Lagrangian.
@@ -124,7 +124,7 @@ class Kkt:
 
     @classmethod
     def read(cls, value: Callable[[str], Any], members: Container[str] = KKT_PARTS) -> Kkt:
-        """Create it from ``value(part)`` for the parts that a C struct with these members has."""
+        """Return the KKT residuals from ``value(name)``; those that are not in ``members`` keep their defaults."""
         return cls(**{part: float(value(part)) for part in cls.__dataclass_fields__ if part in members})
 
     @property
@@ -142,7 +142,7 @@ STALE = (
 
 @dataclass(frozen=True)
 class Stats:
-    """Statistics of the last call.
+    """Statistics describe the last call.
 
     Times (ns) are those of the C calls only; counters that an algorithm lacks are 0.
 
@@ -170,7 +170,7 @@ class Stats:
         negative_curvature: number of directions of negative curvature that were found.
         simulations: number of simulations of the plan, by single shooting.
         residual: residual of the plan at which the QP of the last sample was linearised: its largest gap in the scale
-            of the state, and the largest difference of a hard row from its prediction in the step before, in the scale
+            of the state, and the largest difference of a hard row from its prediction in the last step, in the scale
             of the row; above ``RealTimeIteration(tolerance=...)`` the status is NOT_CONVERGED. For the augmented
             Lagrangian and for single shooting it is that of the plan itself.
         iterations: number of QPs of the last sample, or of rounds of the augmented Lagrangian.

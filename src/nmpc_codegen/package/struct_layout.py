@@ -42,7 +42,7 @@ REAL_BYTES = {"double": 8, "single": 4}
 
 
 class Size(int):
-    """A compile-time size: a number that C prints as an expression in the package's macros, e.g. ("N + 1", 11).
+    """A size is a compile-time number that C prints as an expression in the package's macros, e.g. ("N + 1", 11).
 
     ``text`` names macros without prefix, ``c(prefix)`` writes them with it, and ``doc`` is their meaning. Two sizes are
     equal if their values are equal.
@@ -71,7 +71,7 @@ class Size(int):
 
 @dataclass(frozen=True)
 class Field:
-    """A member of a C struct; only whole packages have members of size 0 (GNU C).
+    """A field is a member of a C struct; only whole packages have members of size 0 (GNU C).
 
     ``only`` tells if a package has it, as in ``only=lambda f: f.solve``; lowering removes other members, and members of
     size 0.
@@ -91,7 +91,7 @@ class Field:
 
     @property
     def first(self) -> str:
-        """Return the C text of its first number."""
+        """Return the C text of the member's first number."""
         return self.name + "[0]" * len(self.shape)
 
     @property
@@ -102,7 +102,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Struct:
-    """A C struct <prefix>_<name>_t, and the member ``name`` of the solver with this type and the given shape.
+    """A struct is the C type <prefix>_<name>_t, and a member ``name`` of the solver with this type and the given shape.
 
     The solver itself is the struct "solver"; a component adds members to it with a Struct of that name. A struct that
     is a member of another one is not a member of the solver. ``only`` tells if a package has it. The members of a

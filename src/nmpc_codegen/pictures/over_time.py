@@ -55,7 +55,7 @@ UNEVEN = 20
 
 @dataclass(frozen=True, eq=False)
 class CurveBounds:
-    """The bounds of a curve, each valid from one of the times ``t`` to the next."""
+    """The bounds of a curve are valid from one of the times ``t`` to the next."""
 
     t: Array
     lower: Array
@@ -65,7 +65,7 @@ class CurveBounds:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The values of a trace over time, and their reference, one value per sample.
+    """A curve has the values of a trace over time, and their reference, one value per sample.
 
     held: constant until the next sample; dots: known only at the samples; logarithmic: positive values of different
     magnitude; estimate: estimates at the samples, and two standard deviations; measured: measurements; bounds: those of

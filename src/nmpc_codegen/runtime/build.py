@@ -381,7 +381,7 @@ def _head(output: str) -> str:
 
 
 class _Declared(cffi.FFI):  # type: ignore[misc]
-    """The ffi of a library with its declarations.
+    """The declarations of a library are parsed into its ffi.
 
     ``error`` is the exception class that the ffi of a module also has.
     """

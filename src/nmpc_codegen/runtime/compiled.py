@@ -31,7 +31,7 @@ NEWTON = ("newton_iterations", "accepted", "cg_iterations", "faces", "shifts", "
 
 @dataclass(frozen=True, eq=False)
 class CompiledPackage:
-    """A compiled package: its texts, their description, its cffi module, and a function that loads it for pickle."""
+    """A compiled package has its texts, their description, its cffi module, and a function that loads it for pickle."""
 
     name: str
     files: Mapping[str, str]

@@ -32,7 +32,9 @@ Array = NDArray[Any]
 
 
 class Controller(Setters):
-    """A controller with its memory; build() or open_package() creates it initialised and ready to step.
+    """A controller is compiled C with its memory.
+
+    Build() or open_package() creates it initialised and ready to step.
 
     One struct holds the whole state: copies, pickles and saved files contain its bytes. Only one thread at a time may
     use a controller.

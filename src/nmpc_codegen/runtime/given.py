@@ -161,7 +161,7 @@ def check_range(values: NDArray[Any], low: Sequence[float], high: Sequence[float
 
 
 def alike(one: NDArray[Any], other: NDArray[Any], what: str) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return both arrays with the same number of rows, or raise ControllerError."""
+    """Return both arrays with the same number of rows, or raise ControllerError if that is impossible."""
     if one.shape == other.shape:
         return one, other
     try:

@@ -30,7 +30,7 @@ _ADDED = {
 
 
 class Memory(Iterate):
-    """An initialised struct of a package, with views on its iterate and on the results of the last call.
+    """The memory is an initialised struct of a package, with views on its iterate and on the results of the last call.
 
     ``memory`` holds the bytes of an initialised struct that another object also owns.
     """

@@ -22,7 +22,7 @@ _SHUFFLES = 12
 
 
 def native() -> Target:
-    """Return the target with most lanes that this machine runs by its compiler's macros; else "portable".
+    """Return the target with the most lanes that this machine runs, by its compiler's macros; else "portable".
 
     Raises:
         BuildError: there is no compiler.

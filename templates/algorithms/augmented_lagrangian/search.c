@@ -361,7 +361,8 @@ static real_t step_length_of(const auglag_t *a)
     return most;
 }
 
-/* Returns the rounding error of L: of its terms, and of gaps and cost due to the rounding of the variables. */
+/* Returns a bound of the rounding error of L: the error of summing its terms, and the error of gaps and cost that the
+ * rounding of the variables causes. */
 static real_t rounding_of_merit(const solver_t *s, real_t value)
 {
     const auglag_t *a = &s->auglag;

@@ -32,8 +32,7 @@ static real_t square_sum(const real_t *v, int n)
     return sum;
 }
 
-/* Returns the standard deviation of the predicted measurement with slope h, plus the noise of standard deviation
- * `own`. */
+/* Returns the standard deviation sqrt(h P h' + own^2) of an innovation, where h is the gradient of the measurement. */
 static real_t expected_deviation(const filter_t *f, const real_t *h, real_t own)
 {
     real_t projected[NX];

@@ -1,6 +1,6 @@
-/* Contract of this part: the residual of a plan, the distance between the model and the plan at which a QP is
- * linearised. It is the largest gap in the scale of its state. Changes since the last step (measured state, bounds,
- * references) and the last interval, which a shift adds, do not count. */
+/* Contract of this part: the residual of a plan measures how far the plan is from satisfying the model where a QP is
+ * linearised. It is the largest gap in the scale of its state. Changes of data since the last step (measured state,
+ * bounds, references) do not count, nor does the last interval, which a shift adds. */
 
 #include "algorithms/shared/scales.c"
 

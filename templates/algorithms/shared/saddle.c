@@ -125,7 +125,7 @@ static void probe_node(solver_t *s, int k, const real_t *lam)
         direction[j] = R(1);
         probe_along(s, k, lam, direction);
         if (PARTNERS) {
-            if (idle_partner[j] >= 0) { /* together with the control by which it is multiplied */
+            if (idle_partner[j] >= 0) { /* also moves the control by which control j is multiplied */
                 direction[idle_partner[j]] = R(1);
                 probe_along(s, k, lam, direction);
                 direction[idle_partner[j]] = -R(1);

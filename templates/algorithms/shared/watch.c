@@ -75,7 +75,8 @@ static void give_up(solver_t *s, status_t status)
     }
 }
 #else
-/* Discards the plan if its simulation fails for good, and the past of steps if anything else fails. */
+/* Discards, after lasting failures, the plan if its simulation has failed, else the multipliers and the history of
+ * steps. */
 static void give_up(solver_t *s, status_t status)
 {
     if (s->failures == LASTING_FAILURE) {

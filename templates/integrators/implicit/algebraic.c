@@ -1,8 +1,8 @@
-/* Algebraic variables of a point (x, z): 0 = g(x, z, u, p), by Newton's method. A step is halved until the next one with
- * the same factors is shorter. */
+/* Algebraic variables of a point (x, z): 0 = g(x, z, u, p), by Newton's method. A step is halved until the next step
+ * with the same factors is shorter. */
 
-/* Computes z from its value in the point, and the factors of dg/dz. Returns -1, the variable whose column has no pivot,
- * or NALG plus the one that does not converge. */
+/* Computes z from the initial guess in `point`, and the factors of dg/dz. Returns -1 on success, the index of a
+ * variable whose column has no pivot, or NALG plus the index of a variable that does not converge. */
 static int solve_algebraic(real_t *point, const real_t *u, const real_t *p, real_t (*M)[NALG], int *order)
 {
     real_t *z = point + NX, from[NALG], g[NALG], J[NALG][NALG], d[NALG], next[NALG], size = INF, length = R(1);

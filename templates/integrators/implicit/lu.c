@@ -13,7 +13,7 @@ static void lu_exchange(real_t *M, int *order, int n, int i, int j)
 }
 
 /* M = P' L U with row exchanges. Pivots are compared in the scales of their variables, and the diagonal of U is stored
- * as its inverse. Returns the variable whose column has no pivot above rounding errors, or -1. */
+ * as its inverse. Returns -1 on success, or the index of a variable whose column has no pivot above rounding errors. */
 static inline int lu_factorize(real_t *M, int *order, const real_t *unit, int n)
 {
     for (int i = 0; i < n; i++) {

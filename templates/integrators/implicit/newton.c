@@ -82,8 +82,8 @@ static void form_rows(stage_t *t, const real_t *ha, int i)
     }
 }
 
-/* Computes the derivatives at the points, and the factors of M. Returns the variable whose column has no pivot, or
- * -1. */
+/* Computes the derivatives at the points, and the factors of M. Returns -1 on success, or the index of a variable whose
+ * column has no pivot. */
 static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, const real_t *ha, real_t *f)
 {
     for (int i = 0; i < GROUP; i++) {
@@ -95,7 +95,7 @@ static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, cons
     return lu_factorize(t->M[0], t->order, state_unit, NB);
 }
 
-/* Returns NXA plus the index of the first number that is not finite, or -1. */
+/* Returns NXA plus the index of the first number that is not finite, or -1 if all are finite. */
 static int first_not_finite(const real_t *values)
 {
     for (int i = 0; i < NB; i++) {
@@ -106,8 +106,8 @@ static int first_not_finite(const real_t *values)
     return -1;
 }
 
-/* Takes one Newton step. Returns -1, the variable whose column of M has no pivot, or NXA plus one whose slope is not
- * finite. */
+/* Takes one Newton step. Returns -1 on success, the index of a variable whose column of M has no pivot, or NXA plus the
+ * index of a variable whose slope is not finite. */
 static int newton_step(stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, real_t *d)
 {
     real_t f[NB];
@@ -119,8 +119,8 @@ static int newton_step(stage_t *t, const real_t *base, const real_t *u, const re
     return -1;
 }
 
-/* Takes Newton steps from the points in X until they are rounding errors. Returns -1, the variable whose column of M
- * has no pivot, or NXA plus the variable that does not converge. */
+/* Takes Newton steps from the points in X until the steps are at rounding level. Returns -1 on success, the index of a
+ * variable whose column of M has no pivot, or NXA plus the index of a variable that does not converge. */
 static int iterate_stage(stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha)
 {
     real_t d[NB], size = INF;
@@ -139,8 +139,8 @@ static int iterate_stage(stage_t *t, const real_t *base, const real_t *u, const 
     return NXA + worst % NXA;
 }
 
-/* Takes `newton` Newton steps from the points in X. Returns -1, the variable whose column of M has no pivot, or NXA
- * plus one whose slope is not finite. */
+/* Takes `newton` Newton steps from the points in X. Returns -1 on success, the index of a variable whose column of M
+ * has no pivot, or NXA plus the index of a variable whose slope is not finite. */
 static int sample_stage(stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, int newton)
 {
     real_t d[NB];
@@ -153,9 +153,9 @@ static int sample_stage(stage_t *t, const real_t *base, const real_t *u, const r
     return -1;
 }
 
-/* Solves implicit stages from the points in X by `newton` Newton steps, or to rounding errors if there are
- * NEWTON_LIMIT. One more step with the last factors measures the residual, which is added to `left`. Returns the reason
- * of a failure, or -1. */
+/* Solves implicit stages from the points in X by `newton` Newton steps, or to rounding level if `newton` is
+ * NEWTON_LIMIT. One more step with the last factors measures the residual, which is added to `left`. Returns -1 on
+ * success, or the reason of the failure. */
 static int solve_stage(
     stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, int newton, real_t *left)
 {

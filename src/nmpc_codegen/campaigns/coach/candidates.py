@@ -79,7 +79,7 @@ def scheme_of(ocp: OCP, options: Options) -> ExplicitRungeKutta | None:
 
 
 def build_candidates(ocp: OCP, stated: Iterator[tuple[str, Options, int]], given: bool = False) -> list[Candidate]:
-    """Build the candidates that the problem allows and whose code differs from that of earlier ones.
+    """Build the candidates that the problem allows, except those with the same code as an earlier one.
 
     The first candidate must build. If the user has ``given`` the options, all of them must build.
 

@@ -37,11 +37,11 @@ FEW = 0.1
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of the table of candidates.
+    """An entry is a row of the table of candidates.
 
-    change: difference from the base; flights: its last flights; lost: number of lost ones, with their interval;
-    violation: largest one relative to the allowed one; cost: relative to the default, median of pairs; seconds: mean
-    time of a sample; ram_bytes: size of the solver struct.
+    change: difference from the base; flights: last flights of the candidate; lost: number of lost flights, with the
+    confidence interval; violation: largest violation relative to the allowed one; cost: cost relative to the default,
+    median of pairs; seconds: mean time of a sample; ram_bytes: size of the solver struct.
     """
 
     change: str

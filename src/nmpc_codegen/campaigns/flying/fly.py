@@ -32,7 +32,10 @@ Device = Literal["cpu", "cuda"]
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """Everything that the parts of a campaign share; ``plant=None`` stands for the controller's own integrator."""
+    """A job holds all data that the parts of a campaign share.
+
+    ``plant=None`` stands for the controller's own integrator.
+    """
 
     controller: Controller
     plant: Controller | None

@@ -31,7 +31,7 @@ def reference_costs(job: Job, flown: Flown, against: Against, count: int, ocp: O
     """Return the costs (F,) of loops with converged plans for the first ``count`` flights.
 
     Other flights, flights whose state was not finite, and those after an interrupt have NaN. ``against`` is "solve",
-    with solve() in every sample, or "ipopt", which starts from the plan of the sample before.
+    with solve() in every sample, or "ipopt", which starts from the plan of the previous sample.
     """
     found = np.full(len(flown), np.nan)
     flyer, s = Flyer(job, None), job.statement

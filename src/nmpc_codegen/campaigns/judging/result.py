@@ -74,7 +74,7 @@ class Campaign:
     def interval(self) -> tuple[float, float]:
         """Return the 95 % confidence interval of the share lost of all possible flights.
 
-        It is that of Clopper and Pearson, and for quasi-random points that of Student.
+        The interval is that of Clopper and Pearson; for quasi-random points it is Student's.
         """
         return self.interval_at(LEVEL)
 

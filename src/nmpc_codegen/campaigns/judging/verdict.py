@@ -55,7 +55,7 @@ class Reason(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """The last value of a state must be within ``near`` of its set point, or between two limits."""
+    """The goal of a state is a set point, which its last value must approach to within ``near``, or two limits."""
 
     state: int
     residual: int  # its reference is the set point; -1: limits
@@ -66,7 +66,7 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """The rules by which a flight is judged.
+    """Rules decide whether a flight is lost.
 
     allowed: (rows,), largest allowed violation of each row, inf if it is not judged; rounding: (rows,), violations up
     to this value are rounding; targets, success: where a flight must end; asked: the same in the user's words.
@@ -233,8 +233,8 @@ def interval_of_share(
 ) -> tuple[float, float]:
     """Return the confidence interval of the share lost of all possible flights.
 
-    For independent flights it is that of Clopper and Pearson, Biometrika 26 (1934). ``set_of`` (F,) holds the numbers
-    of independent sets of quasi-random points; then the interval is Student's, from the shares of the sets.
+    For independent flights the interval is that of Clopper and Pearson, Biometrika 26 (1934). ``set_of`` (F,) holds the
+    numbers of independent sets of quasi-random points; then the interval is Student's, from the shares of the sets.
     """
     if not 0 < level < 1:
         raise ControllerError(f"level is {level!r}; expected a confidence between 0 and 1")

@@ -41,7 +41,7 @@ Distribution = Box | Normal
 
 @dataclass(frozen=True)
 class DrawnVariable:
-    """A random variable with one value for every flight.
+    """A random variable has one value for every flight.
 
     It is uniform from ``begin`` to begin + size, or normal with mean ``begin`` and standard deviation ``size``,
     truncated to ``low`` and ``high``.
@@ -57,11 +57,11 @@ class DrawnVariable:
 
     @property
     def label(self) -> str:
-        """Return its name in tables and pictures."""
+        """Return the name of the variable in tables and pictures."""
         return f"{self.kind}.{self.name}"
 
     def quantile(self, p: Array) -> Array:
-        """Return the quantile of its distribution at p, 0 < p < 1."""
+        """Return the quantile of the variable's distribution at p, 0 < p < 1."""
         if not self.normal:
             return np.asarray(np.clip(self.begin + self.size * p, self.begin, self.begin + self.size))
         if self.size == 0:
@@ -103,7 +103,7 @@ def variables(kind: Kind, names: list[str], found: Distribution, middle: ArrayLi
 
 @dataclass(frozen=True)
 class Points:
-    """Points of the open unit cube, one for each flight: independent ones, or ``sets`` scrambled Sobol sequences.
+    """Points lie in the open unit cube, one for each flight: independent ones, or ``sets`` scrambled Sobol sequences.
 
     A point depends only on (seed, number of the flight); a point of a Sobol sequence also on the length of a set.
     """

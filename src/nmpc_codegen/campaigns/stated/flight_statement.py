@@ -29,7 +29,7 @@ REAL = np.dtype(np.float64)
 
 
 class Stated(TypedDict, total=False):
-    """The arguments of campaign() that state the flights; by default, or with None, they follow from the problem.
+    """The arguments of campaign() state the flights; by default, or with None, they follow from the problem.
 
     Attributes:
         starts: Box or Normal for all states, an array (flights, nx), or {state: Box, Normal, number or (flights,)};
@@ -68,7 +68,7 @@ class Stated(TypedDict, total=False):
 
 
 class Wish(Stated, total=False):
-    """The statement of the flights with their number."""
+    """A wish is the arguments of campaign() that define the flights, with the number of flights."""
 
     flights: int | None
 
@@ -104,7 +104,7 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class FlightData:
-    """The arguments of Batch.simulate() for a part of the flights, and the values of their random variables (F, n)."""
+    """The data of some flights are arguments of Batch.simulate(), and the flights' random variables (F, n)."""
 
     starts: Array
     tables: Mapping[Kind, Mapping[str, Array]]
@@ -113,7 +113,7 @@ class FlightData:
 
     @property
     def references(self) -> Any:
-        """Return the references by name, or those of the whole path residual."""
+        """Return the references by name, or the references of the whole path residual."""
         found = self.tables["reference"]
         return found.get("", found) if found else None
 
@@ -340,7 +340,7 @@ class _Reader:
         return found
 
     def _of(self, kind: Kind) -> PackageDescription:
-        """Return the description of the package to which these parameters belong."""
+        """Return the description of the package that declares data of this kind: the plant's or the controller's."""
         return (self._plant if kind == "plant" and self._plant is not None else self._controller).description
 
     def _declared_values(self, kind: Kind, elements: list[str]) -> Array:

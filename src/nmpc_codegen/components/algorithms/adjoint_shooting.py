@@ -3,13 +3,13 @@
     min_u  sum_k l_k(x_k, u_k) + l_N(x_N) + sum_m psi_m(v_m),   lower <= u <= upper,   x_{k+1} = Phi_k(x_k, u_k)
 
 Bounds of controls hold exactly. The dynamics hold because the states are simulated. Every other row v_m becomes a term
-psi_m of the cost. Gradients come from the exact discrete adjoint, lam_k = A_k' lam_{k+1} + dl_k/dx. The memory is that
-of some vectors of N (nx + nu) numbers, because A_k and B_k are evaluated again whenever a sweep multiplies with them.
+psi_m of the cost. Gradients come from the exact discrete adjoint, lam_k = A_k' lam_{k+1} + dl_k/dx. The memory is some
+vectors of N (nx + nu) numbers, because A_k and B_k are evaluated again whenever a sweep multiplies with them.
 
 A Gauss-Newton step minimises the quadratic model inside the bounds by conjugate gradients, each of which takes a
-forward and an adjoint sweep. Rows that hold only at the end enter the model by their slopes Xi = dv / du, with one
-adjoint sweep each and weights that make the model satisfy them; a Schur complement of their number is the
-preconditioner.
+forward and an adjoint sweep. Terminal rows enter the model by their Jacobian Xi = dv / du, which takes one adjoint
+sweep per row, and by weights that make the model satisfy the rows. The preconditioner is a Schur complement of the size
+of their number.
 
 "Adjoint-based derivative evaluation methods for nonlinear model predictive control", thesis, 2009, chapters 6 and 7.
 """
@@ -90,9 +90,9 @@ STEP = EntryPoint(
 
 @dataclass(frozen=True)
 class AdjointShooting(Algorithm):
-    """Single shooting with adjoints: a fixed number of steps per sample, each with a bounded number of simulations.
+    """Single shooting with adjoints takes a fixed number of steps per sample, each with a bound on its simulations.
 
-    With rows="smooth_l1", "barrier" and "lumped", a continuation over the samples makes the terms sharper as long as
+    With rows="smooth_l1", "barrier" and "lumped", a continuation over the samples sharpens the penalty terms as long as
     steps are accepted at once. A sample then has 3 Gauss-Newton steps with 4 trials by default.
 
     Args:
@@ -179,17 +179,17 @@ class AdjointShooting(Algorithm):
         )
 
     def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
-        """Return the part with the terms of the rows."""
+        """Return the C file with the penalty terms of the rows."""
         has_rows = features.state_rows or features.general_rows or features.has("coupled_rows")
         return (TERMS[self.rows],) if has_rows else ()
 
     def check(self, problem: Problem) -> None:
-        """Raise OptionError for shifts that clash with the grid, and for rows that their terms cannot represent."""
+        """Raise OptionError for shifts that clash with the grid, or rows that the penalty terms cannot represent."""
         check_shift("AdjointShooting", self.shift, self.sampling_time, problem)
         self._check_rows(problem)
 
     def _check_rows(self, problem: Problem) -> None:
-        """Raise OptionError for rows that their terms cannot represent."""
+        """Raise OptionError for rows that the penalty terms cannot represent."""
         rows = [problem.rows[row] for _, _, _, row in problem.qp_rows]
         hard = [row for row in rows if row.soft is None]
         if self.rows in ("smooth_l1", "lumped") and self.penalty is None and hard:
@@ -206,11 +206,11 @@ class AdjointShooting(Algorithm):
             )
 
     def terminal(self, problem: Problem) -> tuple[int, ...]:
-        """Return the indices in qp_rows of the rows in the model: hard ones that hold only at the end."""
+        """Return the indices in qp_rows of the rows in the model: hard rows that are imposed only at node N."""
         return problem.end_rows[: self._terminal_rows(len(problem.end_rows))]
 
     def _terminal_rows(self, found: int) -> int:
-        """Return the number of terminal rows in the model: all, or 0 if they are many or terms of another kind."""
+        """Return the number of terminal rows in the model, 0 if they are too many or of another kind of penalty."""
         exact = self.second_order and self.rows == "augmented_lagrangian"
         return found if exact and found <= MAX_TERMINAL else 0
 

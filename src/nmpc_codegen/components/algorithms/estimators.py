@@ -43,14 +43,14 @@ RESTART = EntryPoint(
 
 
 def estimate(features: Features) -> EntryPoint:
-    """Return the function of a sample; for a plant without controls it has no argument u."""
+    """Return the C function of a sample; for a plant without controls, the function has no argument u."""
     known = features.known_controls
     inputs = (_Y, *((_U,) if known else ()))
     return EntryPoint("estimate", _ESTIMATE.format(of_u=_OF_U if known else ""), inputs, (_XHAT,))
 
 
 def measure(features: Features) -> EntryPoint:
-    """Return the function of the sensors; for a plant without controls it has no argument u."""
+    """Return the C function of the sensors; for a plant without controls, the function has no argument u."""
     known = features.known_controls
     inputs = (Argument("x", "real", ("NX",)), *((_U,) if known else ()))
     return EntryPoint("measure", f"{_MEASURE}{' and the controls u that act' if known else ''}.", inputs, (_Y_OUT,))
@@ -102,7 +102,7 @@ def sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
     u, before, y, accuracy = (0, 0, 0, 0) if e is None else e.places
     return (
         ("AT_U", u, "place of the controls among the parameters of a node"),
-        ("AT_BEFORE", before, "of those of the interval before"),
+        ("AT_BEFORE", before, "of those of the previous interval"),
         ("HAS_BEFORE", int(e is not None and e.before), "1: the node has these"),
         ("AT_Y", y, "of the measurements"),
         ("AT_ACCURACY", accuracy, "of their accuracy, 0 for a missing one"),

@@ -45,7 +45,7 @@ def _left(dims: Dims) -> tuple[Struct, ...]:
 
 def _price(dims: Dims) -> tuple[Struct, ...]:
     """Return the struct for the price of hard rows, which depends on how long they have been violated."""
-    outside = "violation at node 1 of the sample before, in its scale, if that was RELAXED"
+    outside = "violation at node 1 of the previous sample, in its scale, if that was RELAXED"
     rises = "1: the price rises again while the violation does not fall"
     members = (
         Field("outside", (), outside, "keep", only=lambda f: f.priced_rows),

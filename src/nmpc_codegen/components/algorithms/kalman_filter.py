@@ -27,7 +27,7 @@ from nmpc_codegen.package.struct_layout import Field, Struct
 
 @dataclass(frozen=True)
 class KalmanFilter(Algorithm):
-    """The extended Kalman filter is the algorithm of ``ocp.estimator(..., kind="ekf")``; it has no options."""
+    """The extended Kalman filter is the algorithm of ``ocp.estimator(..., kind="ekf")``, without options."""
 
     name: ClassVar[str] = "kalman_filter"
     template: ClassVar[str] = "algorithms/kalman_filter.c"

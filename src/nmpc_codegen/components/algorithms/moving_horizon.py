@@ -1,9 +1,10 @@
 """Moving horizon estimation by real-time iterations finds the states of the last N intervals that fit the measurements.
 
 A sample moves the window by one node, linearises it at its last estimate and solves one QP, or a few. The information
-of the interval that leaves the window is kept as arrival cost 1/2 |x_0 - xbar|^2_P^-1. It is updated by one step of the
-square-root Kalman filter, linearised at the estimate of the window, with exactly the measurements that have left it.
-Without rows, the estimate of a linear problem therefore equals that of the Kalman filter for every N.
+of the interval that leaves the window is kept as arrival cost 1/2 |x_0 - xbar|^2_P^-1. The arrival cost is updated by
+one step of the square-root Kalman filter, linearised at the estimate of the window, with exactly the measurements that
+have left the window. Without rows, the estimate of a linear problem therefore equals that of the Kalman filter for
+every N.
 
 Huber's loss is minimised by weights of the residuals, min(1, c / |r|), which follow the estimate.
 

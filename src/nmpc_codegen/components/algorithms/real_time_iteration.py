@@ -105,7 +105,7 @@ def state_size(dims: Dims) -> Field:
 
 @dataclass(frozen=True)
 class RealTimeIteration(Algorithm):
-    """One QP per sample with a full step, and further iterations until the plan is near a solution.
+    """A sample solves one QP and takes its full step, and iterates further until the plan is near a solution.
 
     Args:
         shift: shift of the plan before every prepare() except the first. None: no shift. "repeat": by one interval; the
@@ -223,7 +223,7 @@ class RealTimeIteration(Algorithm):
     def reach(self, problem: Problem) -> float:
         """Return for shift="resample" the longest time from a node of the old plan to a new node.
 
-        Rounding may place a new node behind the next old one.
+        Rounding may place a new node after the next old node.
         """
         return resample_reach(self.shift, self.sampling_time, problem)
 
@@ -297,7 +297,7 @@ class RealTimeIteration(Algorithm):
 
 
 def _stats() -> Struct:
-    """Return the counters of the last sample, and the row that it could not satisfy."""
+    """Return the counters of the last sample, and the row that the sample could not satisfy."""
 
     def count(name: str, doc: str) -> Field:
         return Field(name, (), doc, "result", "int32")

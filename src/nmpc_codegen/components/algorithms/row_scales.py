@@ -1,4 +1,4 @@
-"""Scales of variables and rows follow from declared values and bounds, for algorithms that measure them together."""
+"""Scales of variables and rows follow from declared values and bounds, for algorithms that sum gaps and violations."""
 
 from __future__ import annotations
 
@@ -61,8 +61,9 @@ def row_scales(problem: Problem, scale: Array) -> Array:
 def row_sizes(problem: Problem, scale: Array) -> Array:
     """Return the sizes by which violations of the rows of the QP are measured.
 
-    The size is the smaller of the scale of a row and its largest finite bound, because the slope at the initial state
-    says little about a distant obstacle. It is at least a hundredth of the scale, because a bound near 0 says nothing.
+    The size is the smaller of the scale of a row and its largest finite bound, because the gradient at the initial
+    state is no measure for a distant obstacle. The size is at least a hundredth of the scale, because a bound near 0 is
+    no measure either.
     """
     found = row_scales(problem, scale)
     for m, (_, kind, _, row) in enumerate(problem.qp_rows):
@@ -84,11 +85,11 @@ def linear_rows(problem: Problem) -> tuple[int, ...]:
 
 
 def cost_magnitude(problem: Problem, scale: Array, otherwise: float = 1.0) -> float:
-    """Return how much the cost of a plan changes with a variable in its scale, at the initial state.
+    """Return the change of a plan's cost for a change of a variable by its scale, at the initial state.
 
-    It is the largest curvature of a path node or slope of a general cost; the slope of a path node counts N times,
-    because a change of a state persists. If all these are 0, it is the curvature of the terminal node, else
-    ``otherwise``.
+    The change is the largest second derivative of a path node or gradient of a general cost; the gradient of a path
+    node counts N times, because a change of a state persists. If all these are 0, the second derivative of the terminal
+    node counts, else ``otherwise``.
     """
     path, terminal = (_sizes(stage, problem, scale) for stage in (problem.path, problem.terminal))
     most = max(path[0], problem.N * path[1], terminal[1]) or terminal[0]

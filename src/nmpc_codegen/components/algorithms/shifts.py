@@ -41,8 +41,8 @@ def resample_time(shift: str | None, sampling_time: float | None, problem: Probl
 def _auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | None, str]:
     """Return the shift for "auto" in a problem, and the reason.
 
-    A plan on a periodic orbit has to move. If it does not move, another period begins at every sample. Where a row
-    limits a mean over the period, such a loop leaves the orbit in a direction that rounding errors decide.
+    The plan of a periodic problem must be shifted. Otherwise the period starts again at every sample, and with a limit
+    on the mean over a period the loop drifts off the orbit, in a direction that rounding errors decide.
     """
     other_time = sampling_time is not None and not is_same_time(sampling_time, problem.dt[0])
     if problem.uniform and not problem.free_initial and not other_time and _is_periodic(problem):
@@ -118,7 +118,7 @@ def with_shift(features: Features, shift: str | None) -> Features:
 
 
 def initial_tables(problem: Problem) -> tuple[Table, ...]:
-    """Return which components of x_0 are accumulators, and which ones the measured state determines."""
+    """Return the tables of components of x_0 that are accumulators, and that the measured state determines."""
     accumulators = tuple(int(i in problem.accumulators) for i in range(problem.nx))
     measured = tuple(int(i not in (*problem.accumulators, *problem.free_initial)) for i in range(problem.nx))
     return (
@@ -140,7 +140,7 @@ def resample_tables(shift: str | None, sampling_time: float | None, problem: Pro
 def resample_reach(shift: str | None, sampling_time: float | None, problem: Problem) -> float:
     """Return for shift="resample" the longest time from a node of the old plan to a new node.
 
-    Rounding may place a new node behind the next old one.
+    Rounding may place a new node after the next old node.
     """
     if shift != "resample" or sampling_time is None:
         return 0.0

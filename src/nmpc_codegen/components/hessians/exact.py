@@ -212,7 +212,7 @@ class ExactHessian(Hessian):
 
 
 def _lower(routine: Routine) -> Pattern:
-    """Return the nonzeros of its output Q in the lower triangle."""
+    """Return the nonzeros of the routine's output Q in the lower triangle."""
     return frozenset((r, c) for r, c in pattern(routine, "Q") if r >= c)
 
 

@@ -28,8 +28,8 @@ class GaussNewton(Hessian):
     """The Gauss-Newton Hessian of a least-squares cost is H = sum_k J_k' W_k J_k, J_k the Jacobian of the residual.
 
     For every general row, mu_i d2 h_i is added if it is positive semidefinite, with the multipliers of the last QP;
-    steps need it to converge with discs and other convex rows. If the user states this Hessian, solve() uses it, too;
-    if the compiler chooses it, solve() may have the exact one.
+    without this term, steps do not converge with discs and other convex rows. If the user states this Hessian, solve()
+    uses it, too; if the compiler chooses it, solve() may have the exact one.
     """
 
     name: ClassVar[str] = "gauss_newton"
@@ -37,7 +37,7 @@ class GaussNewton(Hessian):
     supports: ClassVar[frozenset[str]] = EVERY_USE - {"general cost", "integrated cost"}
 
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
-        """Return J' W J of every stage, and the curvature of its rows as a separate routine."""
+        """Return J' W J of every stage and, as a separate routine, second derivatives of rows times multipliers."""
         start = self._block(costs.start)
         path = self._block(costs.path, bool(problem.proximal))
         return HessianModel(start.hessian, path, self._block(costs.terminal))

@@ -17,7 +17,7 @@ ACTIVE = 1e-6
 
 
 def limits(problem: Problem, steady_state: tuple[ArrayLike, ArrayLike] | None) -> Array:
-    """Return the least and largest lower and upper bound of every row for which the steady state remains, (4, nr).
+    """Return limits of the least and largest lower and upper bound of every row that keep the steady state, (4, nr).
 
     A bound that is active at the steady state must keep its declared value; any other bound must admit the steady
     state. Without a steady state, all bounds must keep their values. Bounds of cyclic states are free, because these

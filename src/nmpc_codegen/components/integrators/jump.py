@@ -114,7 +114,7 @@ def rename_buffer(nodes: Iterable[Node], old: str, new: str) -> tuple[Node, ...]
 
 
 class _Jump:
-    """The maps g, their derivatives, and the calls that write them."""
+    """The jump consists of the maps g, their derivatives, and the calls that write them."""
 
     def __init__(self, problem: Problem) -> None:
         assert problem.jump is not None

@@ -37,9 +37,9 @@ STABILITY = ("", "A", "L")
 class ButcherTableau:
     """A Runge-Kutta scheme X_i = x + h sum_j a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i.
 
-    It is checked on creation: a is lower triangular with a nonnegative diagonal, or regular. The order conditions up to
-    min(order, 4), and the quadrature conditions beyond, hold exactly, or up to rounding with floating-point
-    coefficients. The claimed stability holds for
+    The tableau is checked on creation: a is lower triangular with a nonnegative diagonal, or regular. The order
+    conditions up to min(order, 4), and the quadrature conditions beyond, hold exactly, or up to rounding with
+    floating-point coefficients. The claimed stability holds for
 
         R(z) = 1 + z b' (I - z A)^{-1} 1 = det(I - z (A - 1 b')) / det(I - z A)
 

@@ -35,9 +35,9 @@ PROXIMAL_STEPS = math.ceil(CAUTION * PROXIMAL_STEPS_NEEDED)
 
 @dataclass(frozen=True)
 class DenseActiveSet(QpSolver):
-    """A dual active-set solver of the condensed QP, accurate to rounding.
+    """A dual active-set method solves the condensed QP, accurate to rounding.
 
-    It starts with the working set of the previous QP.
+    The method starts with the working set of the previous QP.
 
     Args:
         max_iterations: largest number of changes of the working set in one feedback phase; None: 6.8 (NV + NG), at
@@ -160,7 +160,7 @@ class DenseActiveSet(QpSolver):
 def _working_memory(dims: Dims) -> tuple[Struct, ...]:
     """Return the factors of the working set, and a union.
 
-    Through the union, the caller may use their memory before they exist.
+    Through the union, the caller may use the memory of the factors before they are computed.
     """
     basis = (
         Field("Q", (dims.qp.ld, dims.qp.ld), "rows: orthonormal basis of the normals in the working set", "scratch"),

@@ -217,7 +217,7 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
 def riccati_search(dims: Dims) -> OpCount:
     """Estimate a search by ten interior point iterations, typical if a working set is far from the predicted one.
 
-    A row takes about 40 operations of each kind, its products with a point, and those with itself.
+    A row takes about 40 operations of each kind, its products with a point, and its products with itself.
     """
     counts, nz = riccati_cost(dims), dims.nz
     iteration = counts["riccati_factorize"] + (counts["riccati_backward"] + counts["riccati_forward"]) * 2

@@ -112,9 +112,9 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
 
 @dataclass(frozen=True)
 class RiccatiInteriorPoint(QpSolver):
-    """An interior point solver of a QP on stages; time and memory are linear in N.
+    """An interior point method solves the QP on stages; time and memory are linear in N.
 
-    It starts near the multipliers of the previous QP.
+    The method starts near the multipliers of the previous QP.
 
     Args:
         max_iterations: largest number of factorisations in one feedback phase.

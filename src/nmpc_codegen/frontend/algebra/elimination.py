@@ -41,7 +41,7 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """The result of the elimination.
+    """The result of the elimination has expressions and the remaining equations.
 
     values: every unknown, in the given symbols and those of ``newton``; newton: indices of the unknowns that Newton's
     method solves for; rest: their equations; inverse: 1 where the inverse of their Jacobian may be nonzero; at: values
@@ -136,7 +136,7 @@ def _match(pattern: Any) -> dict[int, int]:
 def _inverse_pattern(pattern: Any) -> Array:
     """Return 1 in (j, i) where unknown j may depend on residual i.
 
-    Unknown j depends on it if a path over equations and unknowns leads from one to the other.
+    Unknown j depends on residual i if a path over equations and unknowns connects them.
     """
     matched, size = _match(pattern), pattern.size2()
     if len(matched) < size:
@@ -151,7 +151,7 @@ def _inverse_pattern(pattern: Any) -> Array:
 def _of_structure(
     pattern: Any, matched: dict[int, int], unknowns: Sequence[Unknown], equations: Sequence[Equation]
 ) -> str:
-    """Describe which variable has no equation of its own, and which equation is left over."""
+    """Describe which variable has no equation of its own, and which equation remains."""
     j = next(j for j in range(len(unknowns)) if j not in matched)
     extra = next(e.name for i, e in enumerate(equations) if i not in matched.values())
     entries = list(zip(*pattern.get_triplet(), strict=True))
@@ -206,8 +206,8 @@ def _check_pivots(J: Array, unknowns: Sequence[Unknown], equations: Sequence[Equ
 def _solve_linear(J: Expression, right: Expression, at: Array, moving: Expression) -> Expression:
     """Return J^-1 right without pivots that may vanish along a plan.
 
-    Pivots are entries that do not change along a plan. What remains is solved by determinants for up to three unknowns,
-    else by Householder reflections. ``at`` is J at the first plan.
+    Pivots are entries that do not change along a plan. The remaining equations are solved by determinants for up to
+    three unknowns, else by Householder reflections. ``at`` is J at the first plan.
     """
     n = J.shape[0]
     rows = [{j: J[i, j] for j in range(n) if J[i, j].nnz()} for i in range(n)]

@@ -14,13 +14,14 @@ from nmpc_codegen.frontend.symbol import is_comparison
 
 
 class Algebraic(Dynamics):
-    """The part of an OCP that states equations for variables."""
+    """This part of OCP states equations for variables."""
 
     def algebraic_equation(self, g: Any, *, name: str | None = None) -> None:
         """State 0 = g(x, z, u, p), one scalar equation per algebraic variable, in one call or several.
 
-        The equations have to determine the algebraic variables: dg/dz is regular (index 1). They hold at every stage of
-        the integrator, and z of a node is that of its x, u and p; at node N, which has no control, of u_{N-1}.
+        The equations have to determine the algebraic variables: dg/dz is regular (index 1). The equations hold at every
+        stage of the integrator, and z of a node belongs to its x, u and p; at node N, which has no control, z belongs
+        to u_{N-1}.
 
         Args:
             g: column of expressions.

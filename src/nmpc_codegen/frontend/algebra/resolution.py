@@ -29,7 +29,7 @@ from nmpc_codegen.package.signals import list_some
 
 @dataclass(frozen=True, eq=False)
 class Resolved:
-    """The OCP ``ocp`` without algebraic variables.
+    """The OCP ``ocp`` has no algebraic variables any more.
 
     values: all of them, in its symbols and those of ``newton``, for which Newton's method solves ``rest`` = 0; names,
     start, scale: of the latter; found: their values at the first plan, NaN if Newton's method finds none; inverse: 1
@@ -48,7 +48,7 @@ class Resolved:
 
 
 def resolve(ocp: OCP) -> Resolved | None:
-    """Replace the algebraic variables of an OCP; return None if it has neither these nor implicit equations.
+    """Replace the algebraic variables of an OCP; return None if there are neither algebraic nor implicit equations.
 
     Raises:
         ProblemError: the equations do not determine the variables.
@@ -169,7 +169,7 @@ def _refuse_maps(ocp: OCP, values: Any, z: Any) -> None:
 
 
 def _at_the_end(twin: OCP, values: Any) -> Any:
-    """Return the values at node N, with the controls of the node before."""
+    """Return the expressions for node N, in which the controls of node N - 1 replace u."""
     places = [e.index for e in map(twin.element, ca.symvar(values)) if e is not None and e.kind == "control"]
     if not places:
         return values

@@ -1,7 +1,7 @@
 """complete() turns a Problem into a CompleteProblem: it adds everything that follows from the problem, once.
 
 It adds, in this order: the terminal cost of lqr_terminal_cost(), sizes of all quantities, ties of controls to those of
-the node before, marks of variables at saddles, proximal terms.
+the previous node, flags of variables at saddles, proximal terms.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from nmpc_codegen.frontend.problem import Problem, Stage
 
 
 class Asked(Protocol):
-    """The options on which completion depends.
+    """Completion depends on these options.
 
     They say whether declared diagonal weights are stored as matrices, and whether samples solve QPs with a chosen
     Hessian, whose steps proximal terms may limit.
@@ -35,7 +35,7 @@ class Asked(Protocol):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CompleteProblem(Problem):
-    """A problem with everything that follows from it.
+    """A complete problem has everything that follows from a problem.
 
     ``scales`` are the sizes of its quantities; ``saddles`` marks controls and states whose slope vanishes somewhere;
     ``flat`` names the controls without curvature, which get proximal terms.
@@ -69,7 +69,7 @@ def complete(problem: Problem, options: Asked) -> CompleteProblem:
 
 
 def _with_ties(path: Stage, problem: Problem, sizes: Scales) -> Stage:
-    """Return the path with residuals that tie controls to those of the node before, where no block begins.
+    """Return the path with residuals that tie controls to those of the previous node, where no block begins.
 
     A control without effect is tied to 0.
     """

@@ -31,7 +31,7 @@ class Saddles:
 
     slopes: (nx, nx + nu), the value of |d Phi_l / dz_i| of an interval up to which z_i has almost no effect on state l;
     infinite if it does not act directly, and on itself; -1 for variables that always have an effect. partners: (nu,),
-    another control whose value decides on the slope of control j, or -1. drivers: (nu,), marks of controls that drive
+    another control whose value decides on the slope of control j, or -1. drivers: (nu,), True for controls that drive
     one of the states.
     """
 
@@ -98,7 +98,7 @@ def _driven(problem: Problem) -> Array:
 
 
 def _compare(problem: Problem, z: Array, bent: Array) -> tuple[Array, Array]:
-    """Return (nx, nx + nu) the largest slopes of an interval at a typical state, and marks of variables.
+    """Return the largest slopes of an interval at a typical state (nx, nx + nu), and which variables are marked.
 
     A variable is marked if all its slopes vanish somewhere.
     """

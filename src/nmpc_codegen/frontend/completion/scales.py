@@ -1,12 +1,12 @@
-"""Scales say which values of the quantities of a problem are neither small nor large.
+"""Scales are values of the quantities of a problem that are neither small nor large.
 
-The scale of a state or control is ``scale=`` if declared. Otherwise it is the largest of half the width of its finite
-bounds (the magnitude of a single one; those beyond NO_BOUND do not count), its initial value, and references of
-residuals that it is. If a state has none of these, its scale is the change that a control of its own scale causes in
-one interval, but at least a small fraction of the change over the horizon without exponential growth. If a control has
-none, its scale is the change with which a state changes by its scale over the horizon; else 1. Scales are rather too
-small than too large. Terms of rows, residuals and costs get the sizes that follow from their variables. No scale
-depends on data of a sample, so that rounding errors never become scales.
+The scale of a state or control is ``scale=`` if declared. Otherwise the scale is the largest of half the width of the
+finite bounds (the magnitude of a single bound; bounds beyond NO_BOUND do not count), the initial value, and references
+of residuals that equal the state or control. If a state has none of these, its scale is the change that a control of
+its own scale causes in one interval, but at least a small fraction of the change over the horizon without exponential
+growth. If a control has none, its scale is the change that changes a state by the state's scale over the horizon; else
+1. Scales are rather too small than too large. Terms of rows, residuals and costs get the sizes that follow from their
+variables. No scale depends on data of a sample, so that rounding errors never become scales.
 """
 
 from __future__ import annotations

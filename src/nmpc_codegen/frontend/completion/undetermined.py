@@ -26,7 +26,7 @@ POINTS = 4
 
 
 def flat_controls(problem: Problem, sizes: Scales) -> tuple[int, ...]:
-    """Return the numbers of the controls without curvature.
+    """Return the indices of the controls without curvature.
 
     None for a linear program, whose vertices are found exactly.
     """
@@ -60,7 +60,7 @@ def _bends_model(problem: Problem) -> list[bool]:
 
 
 def _curvature(problem: Problem, sizes: Scales) -> Array:
-    """Return (nu,) the curvature of the cost in every control, also through the states that it moves, in its scale."""
+    """Return the scaled curvature of the cost in each control (nu,), including the effect through the states."""
     nx = problem.nx
     path, end = _diagonal(problem.path, problem, sizes.z), _diagonal(problem.terminal, problem, sizes.z)
     of_states = np.maximum(path[:nx], end[:nx])

@@ -35,7 +35,7 @@ KINDS: tuple[EstimatorKind, ...] = get_args(EstimatorKind)
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """The measured elements of one name."""
+    """A measurement has the measured elements of one name."""
 
     signal: Signal
     expression: Any
@@ -44,7 +44,7 @@ class Measurement:
 
 
 class Estimator:
-    """An estimator of the states of a model from measurements, at every sample.
+    """An estimator finds the states of a model from measurements, at every sample.
 
         y_k = h(x_k, u_{k-1}, p_k) + v_k,   x_{k+1} = Phi(x_k, u_k, p_k) + w_k,   v and w independent, normal
 
@@ -59,7 +59,7 @@ class Estimator:
         ocp: the model; its controls are known; its costs and its rows on controls are ignored. An OCP without controls
             and costs states an uncontrolled plant.
         N: number of intervals of the window, >= 1; unused for kind="ekf".
-        measure: {name: h}, expressions of states, controls, parameters; a control is that of the interval before.
+        measure: {name: h}, expressions of states, controls, parameters; a control is that of the previous interval.
         noise_std: {name: standard deviation > 0} of every measurement, a number or one per element.
         process_std: {state: standard deviation of the noise added from sample to sample}; {parameter: the same for an
             unknown parameter}, which is then estimated, as a state after those of the OCP. 0: a constant.

@@ -84,14 +84,14 @@ def _eliminate(estimator: Estimator) -> tuple[OCP, Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Noise:
-    """A control of the window that stands for noise: its symbol and its standard deviation."""
+    """A control of the window stands for noise, with a symbol and a standard deviation."""
 
     symbol: Any
     std: float
 
 
 class _Window:
-    """The OCP of a window, while it is assembled."""
+    """A window collects the parts of its OCP while it is assembled."""
 
     def __init__(self, estimator: Estimator, model: OCP, h: Any) -> None:
         self.estimator, self.model, self.ocp = estimator, model, _grid(estimator)
@@ -187,7 +187,7 @@ class _Window:
         return ca.densify(ca.substitute(expression, ca.vertcat(*old), ca.vertcat(*new)))
 
     def state_dynamics(self) -> None:
-        """State the maps or derivatives of the states, with noise.
+        """Add the maps or derivatives of the states, with noise.
 
         Unknown parameters are constant except for their noise.
         """
@@ -216,7 +216,7 @@ class _Window:
         return sum(t.size for t in self.states[: self.states.index(s)])
 
     def state_rows(self) -> None:
-        """State the rows of the OCP that the estimator shares, with penalties from their scales.
+        """Add the rows that the estimator shares with the OCP as soft rows, with penalties from their scales.
 
         Raises:
             ProblemError: a named row contains a quantity that is unknown at the present sample.
@@ -264,7 +264,7 @@ class _Window:
 
     @property
     def initial_std(self) -> Array:
-        """Return the standard deviations of the initial values; if none is given, that of a state is its size."""
+        """Return the standard deviations of the initial values; by default that of a state is its size."""
         given = self.estimator.initial_std
         return np.concatenate([given.get(s.name, size) for s, size in zip(self.states, self.sizes, strict=True)])
 

@@ -1,4 +1,4 @@
-"""A smooth distance from an interval serves for costs that penalise rows along the intervals of the grid."""
+"""Smooth penalty functions of the distance of a row from its bounds serve for costs that are integrated over time."""
 
 from __future__ import annotations
 

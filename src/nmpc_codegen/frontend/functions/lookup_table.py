@@ -117,7 +117,7 @@ def _scalar(x: Any) -> Any:
 
 
 class _Axis:
-    """A sorted grid with the interval that contains x, and the distance of x from its left end."""
+    """An axis is a sorted grid with the interval that contains x, and the distance of x from the left end of it."""
 
     def __init__(self, x: Any, grid: Array, name: str) -> None:
         points = tuple(map(float, grid))

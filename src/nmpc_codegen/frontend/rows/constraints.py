@@ -17,7 +17,7 @@ from nmpc_codegen.package.signals import Soft
 
 
 class Constraints(Algebraic):
-    """The part of an OCP that states rows."""
+    """This part of OCP states rows."""
 
     _unnamed = 0  # number of rows with default names
 
@@ -73,7 +73,7 @@ class Constraints(Algebraic):
         return None
 
     def _row_names(self, h: Any, name: str | None, suffix: str, what: str) -> tuple[tuple[str, ...], int]:
-        """Return the names of the rows, and how many of them are default names row_i."""
+        """Return the names of the rows, and the number of default names row_i among them."""
         n, unnamed = h.numel(), 0
         if name is not None:
             identifier(name, what)
@@ -92,7 +92,7 @@ class Constraints(Algebraic):
     def _refuse_clashes(self, places: Sequence[_Place], what: str) -> None:
         """Raise ProblemError if the name of a new row is already in use.
 
-        The name of the row of which it is a side counts as well.
+        If a row is one side of a two-sided row, the name of the latter counts as well.
         """
         taken = {c_identifier(name): name for s in self.statements for name in (*s.names, *s.stated)}
         new = dict.fromkeys(name for place in places for s in place.left for name in (*s.names, *s.stated))
@@ -127,7 +127,7 @@ class Constraints(Algebraic):
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Existing rows with their new bounds, (statement, index, lower, upper), and statements of new rows."""
+    """New rows are stored in existing rows with new bounds, (statement, index, lower, upper), or in new statements."""
 
     taken: tuple[tuple[Statement, int, float, float], ...]
     left: tuple[Statement, ...]

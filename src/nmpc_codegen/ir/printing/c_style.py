@@ -23,7 +23,7 @@ LONGEST_NUMERATOR, LARGEST_DIVISOR = 6, 24
 
 @dataclass(frozen=True)
 class CStyle:
-    """The spelling of types, literals and functions: ``real`` is the typedef, ``single`` selects 0.5F and sinf.
+    """A style spells types, literals and functions: ``real`` is the typedef, ``single`` selects 0.5F and sinf.
 
     If ``lanes``, values are GNU C vectors, and functions replace missing operators. If ``own``, functions of the
     package's text replace those of math.h. ``names`` holds the user's signals, after which constants are named.
@@ -66,14 +66,14 @@ class CStyle:
         return replace(self, real="lanes_t", lanes=True, own=False)
 
     def literal(self, value: float) -> str:
-        """Return a C literal that reads back to the same number, e.g. ``0.1`` or ``0.1F``."""
+        """Return a C literal that a compiler reads as the same number, e.g. ``0.1`` or ``0.1F``."""
         text = repr(float(value))
         if "." not in text and "e" not in text:
             text += ".0"
         return text + ("F" if self.single else "")
 
     def number(self, value: float) -> str:
-        """Return a literal, or a quotient of two short ones with this value, e.g. ``1.0 / 6.0`` or ``0.15 / 6.0``."""
+        """Return a literal, or a quotient of two short ones, of this value: ``1.0 / 6.0`` or ``0.15 / 6.0``."""
         if len(repr(value)) > LONGEST_LITERAL:
             ratio = Fraction(value).limit_denominator(LARGEST_DENOMINATOR)
             parts = [(float(f"{value * q:.{LONGEST_NUMERATOR}g}"), q) for q in range(2, LARGEST_DIVISOR + 1)]

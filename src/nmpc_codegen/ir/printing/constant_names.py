@@ -59,7 +59,7 @@ class LocalNames:
         return names[element] if element < len(names) else ""
 
     def value(self, buffer: str, element: int, mark: str) -> str:
-        """Return the name for a value of a stage; "" if it has none."""
+        """Return the name for a value of a stage; "" if the value has no name."""
         n = len(self.states)
         if not (mark and n):
             return ""

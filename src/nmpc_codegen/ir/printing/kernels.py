@@ -66,7 +66,7 @@ def print_count(count: OpCount) -> str:
 
 
 def print_kernel(kernel: Kernel, style: CStyle) -> str:
-    """Return the whole C function; its parameters are the ports that it reads or writes."""
+    """Return the whole C function; its parameters are the ports that the kernel loads or stores."""
     printed = PrintedFunction(kernel, style)
     lines = [*wrapped_head(signature(kernel.name, kernel.reads, kernel.writes, style)), "{", *printed.lines(), "}"]
     return "\n".join([describe(kernel), *lines])
@@ -83,7 +83,7 @@ def wrapped_head(head: str) -> list[str]:
 
 
 class PrintedFunction:
-    """The body of a kernel as a function of its ports: loads, then named constants, then stores.
+    """A printed function is the body of a kernel: loads, then named constants, then stores.
 
     Attributes:
         loads: {port: names and texts of the elements that are read}.
@@ -143,7 +143,7 @@ def result_note(name: str, columns: int, element: int, names: LocalNames) -> str
 
 
 def first_short(cuts: Iterable[Cut], longest: Callable[[Cut], int]) -> Cut:
-    """Return the first cut whose ``longest`` function has at most LONGEST_FUNCTION lines; the last one if none has."""
+    """Return the first cut whose ``longest`` function has at most LONGEST_FUNCTION lines; by default the last cut."""
     for cut in cuts:
         if longest(cut) <= LONGEST_FUNCTION:
             break

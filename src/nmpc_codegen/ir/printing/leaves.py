@@ -19,7 +19,7 @@ from nmpc_codegen.ir.sweep import Affine, Call, LoopedRoutine, Slice
 
 @dataclass(frozen=True)
 class Buffers:
-    """The buffers of a sweep in C: their sizes, rows, and access.
+    """The buffers of a sweep have sizes, rows, and a way of access in C.
 
     ``local`` buffers belong to the sweep and alias nothing; ``reached`` maps a buffer that is a member to the text
     before its name.
@@ -74,10 +74,10 @@ class Buffers:
 
 
 class Leaf:
-    """A call of a leaf in a function whose names are ``taken``.
+    """A leaf is called in a function whose names are ``taken``.
 
     If every result is a number, or one expression of the elements of vectors, the leaf is printed as loops over
-    elements. Otherwise only numbers are, and the rest is nested expressions.
+    elements. Otherwise only its numbers are printed as loops, and all else as nested expressions.
     """
 
     def __init__(self, routine: LoopedRoutine, call: Call, buffers: Buffers, style: CStyle) -> None:
@@ -94,7 +94,7 @@ class Leaf:
             self.stores = [s for s in stores if s[:2] not in rolled]
 
     def lines(self, indent: str, index: str, taken: Taken) -> list[str]:
-        """Return its statements; ``index`` is that of loops over elements."""
+        """Return the statements of the leaf; ``index`` is the counter of loops over elements."""
         kernel = replace(self.kernel, stores=tuple(self.stores))
         held, texts = ([], {}) if self.is_loop else self._loads(taken)
         if self.is_loop:
@@ -126,7 +126,7 @@ class Leaf:
         return find_rolls(replace(self.kernel, stores=stores), strides, fits)
 
     def _may_loop(self, roll: Roll) -> bool:
-        """Return True if a loop reads nothing that it, or another loop of the leaf, has changed."""
+        """Return True if a loop reads nothing that this loop, or another loop of the leaf, has changed."""
         if self._is_number(roll.value):
             return True
         target = self.call.outs[roll.output]

@@ -8,7 +8,7 @@ from nmpc_codegen.package.lookup import Lookup
 
 
 def print_lookups(lookups: Sequence[Lookup]) -> dict[str, str]:
-    """Return {name: text} of the functions; those of grids call find_interval()."""
+    """Return {name: text} of the functions; functions of grids call find_interval()."""
     return {lookup.function: _function(lookup) for lookup in lookups}
 
 

@@ -33,7 +33,7 @@ SHORT_PIECES, SHORT_LEAF = (6, 3, 0), 8
 
 
 def print_loops(routine: LoopedRoutine, style: CStyle) -> str:
-    """Return the C functions of the leaves that are called, and those of the sweep."""
+    """Return the C functions of the leaves that are called, and then the functions of the sweep."""
     printer = _Printer(routine, style)
     called = {routine.leaves[c.leaf.name()] for c in calls(routine.sweep.body) if not printer.is_inline(c)}
     texts = [print_kernel(kernel, style) for kernel in routine.kernels if kernel in called]
@@ -45,7 +45,7 @@ def print_loops(routine: LoopedRoutine, style: CStyle) -> str:
 
 
 class _Printer:
-    """A printer of the nodes of one sweep."""
+    """A printer prints the nodes of one sweep."""
 
     def __init__(self, routine: LoopedRoutine, style: CStyle) -> None:
         sweep = routine.sweep
@@ -102,7 +102,7 @@ class _Printer:
         return f"[{size // columns}][{columns}]" if columns else f"[{size}]" if size > 1 else ""
 
     def is_inline(self, call: Call) -> bool:
-        """Return True if a leaf is printed where it is called: it must be, is a loop over elements, or is short."""
+        """Return True if a leaf is printed where it is called: it has to be, is a loop over elements, or is short."""
         if call.written_out:
             return True
         key = (call.leaf.name(), call.ins, call.outs)
@@ -118,7 +118,7 @@ class _Printer:
 
 
 class Body:
-    """The statements of nodes in one function, with its own access to buffers."""
+    """A body has the statements of nodes in one function, with its own access to buffers."""
 
     def __init__(self, printer: _Printer, buffers: Buffers) -> None:
         self.printer, self.routine, self.buffers = printer, printer.routine, buffers
@@ -127,7 +127,10 @@ class Body:
         self.largest: dict[str, int] = {}
 
     def nodes(self, nodes: tuple[Node, ...], indent: str, note: str = "") -> list[str]:
-        """Return the statements of a block, with a comment where a stage begins; ``note`` is the last one above it."""
+        """Return the statements of a block, with a comment where a stage begins.
+
+        ``note`` is the last comment above it.
+        """
         lines: list[str] = []
         for node in once(nodes):
             of = note_of(node) or note
@@ -234,7 +237,7 @@ class Pieces:
         return f"{self.routine.name}_scratch_t"
 
     def texts(self) -> list[str]:
-        """Return the struct, the functions of the pieces, and that of the sweep."""
+        """Return the struct, the functions of the pieces, and the function of the sweep."""
         functions = [self._function(piece) for piece in self.functions]
         return [*([self._struct()] if self.shared else []), *functions, self.main()[0]]
 
@@ -248,9 +251,9 @@ class Pieces:
         return Buffers(of.sizes, of.columns, of.local, dict.fromkeys(self.shared, f"{self.printer.pointer}{mark}"))
 
     def _find_uses(self, piece: Piece) -> tuple[set[str], list[str], bool, bool]:
-        """Return what a piece uses: ports and local buffers, indices of loops around it, and two marks.
+        """Return what a piece uses: ports and local buffers, indices of loops around it, and two flags.
 
-        The marks tell whether it uses, and changes, scratch memory.
+        The flags are True if the piece uses, or changes, scratch memory.
         """
         found, nodes, shared = list(self._slices(piece.nodes)), tuple(piece.nodes), set(self.shared)
         names = {s.buffer for s, _ in found} | set(_texts(nodes))
@@ -270,7 +273,7 @@ class Pieces:
         return f"/* {self.routine.name}: {piece.note} */\n{text}"
 
     def main(self) -> tuple[str, int]:
-        """Return the function of the sweep, which calls those of the pieces, and its number of lines."""
+        """Return the function of the sweep, which calls the functions of the pieces, and its number of lines."""
         body = Body(self.printer, self._buffers("."))
         lines = self._print(body, self.pieces, "    ")
         own = {s.buffer for p in flat(self.pieces) if not p.name for s, _ in self._slices(p.nodes)}

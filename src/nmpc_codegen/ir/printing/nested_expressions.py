@@ -27,7 +27,7 @@ _PRODUCTS = (ca.OP_MUL, ca.OP_SQ, ca.OP_DIV)
 
 
 class Constant(NamedTuple):
-    """A value with a name; ``note`` is the heading that begins with it; ``is_fixed``: it does not change in a loop."""
+    """A constant is a value with a name; ``note`` is the heading before it; ``is_fixed``: a loop does not change it."""
 
     name: str
     text: str
@@ -35,12 +35,12 @@ class Constant(NamedTuple):
     is_fixed: bool = True
 
     def definition(self, real: str) -> str:
-        """Return the statement that defines it."""
+        """Return the statement that defines the constant."""
         return f"const {real} {self.name} = {self.text};"
 
 
 class NestedExpressions:
-    """The expressions of a kernel, part by part.
+    """The expressions of a kernel are nested, part by part.
 
     Attributes:
         kernel: the kernel.
@@ -188,7 +188,7 @@ def _find_moving(kernel: Kernel, loads: Collection[tuple[int, int]]) -> frozense
 def loads_inside(kernel: Kernel, loads: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
     """Return the loads (port, element) that are evaluated inside a loop in which ``loads`` change.
 
-    Values that depend on none of these stand before the loop.
+    Values that depend on none of these are computed before the loop.
     """
     moving = _find_moving(kernel, loads)
     operands = {a for v in moving for a in kernel.operands(v)} | moving

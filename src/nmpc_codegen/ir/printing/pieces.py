@@ -34,7 +34,7 @@ _NAME = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
 
 @dataclass(frozen=True)
 class PieceStep:
-    """A constant with this name, or a store to a target with a note, and its text."""
+    """A step is a constant with this name, or a store to a target with a note, and its text."""
 
     name: str
     target: str
@@ -43,12 +43,12 @@ class PieceStep:
 
     @property
     def names(self) -> set[str]:
-        """Return the names that it reads."""
+        """Return the names that the step reads."""
         return set(_NAME.findall(self.text))
 
     @property
     def length(self) -> int:
-        """Return its approximate number of lines."""
+        """Return the approximate number of lines of the step."""
         return len(wrap_statement("    ", f"{self.target or f'const real_t {self.name}'} = {self.text};"))
 
 

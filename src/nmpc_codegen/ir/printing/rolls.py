@@ -23,7 +23,7 @@ Fits = Callable[[int, int, int], bool]
 
 @dataclass(frozen=True)
 class Roll:
-    """``count`` elements of an output from ``first``, ``stride`` apart, that receive the same expression.
+    """A roll has ``count`` elements of an output from ``first``, ``stride`` apart, that receive the same expression.
 
     ``value`` is the value of the first one; ``moving`` holds its loads (port, element) whose element moves along.
     """
@@ -43,7 +43,7 @@ class Roll:
 
 
 class _Rolls:
-    """A search for the rolls of one output; ``fits`` tells if (element, stride, count) stay in a row of its buffer."""
+    """The rolls of one output are searched; ``fits`` tests if (element, stride, count) stay in a row of its buffer."""
 
     def __init__(self, kernel: Kernel, output: int, strides: Sequence[int], fits: Fits) -> None:
         self.instructions, self.output, self.fits = kernel.instructions, output, fits
@@ -114,7 +114,7 @@ class _Rolls:
 
 @dataclass
 class _Loads:
-    """The loads (port, element) of a first element that move with the elements of a roll, and those that do not."""
+    """The loads (port, element) of a first element either move with the elements of a roll, or do not."""
 
     moving: set[tuple[int, int]] = field(default_factory=set)
     fixed: set[tuple[int, int]] = field(default_factory=set)

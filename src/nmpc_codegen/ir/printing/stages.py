@@ -1,4 +1,4 @@
-"""A sweep is cut into pieces under one note each; pieces of stages that differ only in their place become a loop."""
+"""A sweep is cut into pieces under one comment each; pieces of stages that differ only by an index become a loop."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ Leaves = Mapping[str, Kernel]
 
 @dataclass(eq=False)
 class Piece:
-    """Nodes under one note; ``name`` is that of their function, "" if they stand in that of the sweep."""
+    """A piece is a group of nodes that are printed under one comment.
+
+    ``name``: C function that contains the nodes, "" for the function of the sweep itself.
+    """
 
     note: str
     nodes: list[Node] = field(default_factory=list)
@@ -37,9 +40,9 @@ class StageLoop:
 
 
 def cut(nodes: tuple[Node, ...], leaves: Leaves) -> tuple[Piece | StageLoop, ...]:
-    """Return the pieces of nodes: those under one note are together.
+    """Return the pieces of nodes, each with the nodes under one comment.
 
-    A loop over several notes is a loop over pieces.
+    A loop over several comments is a loop over pieces.
     """
     found: list[Piece | StageLoop] = []
     for node in once(nodes):
@@ -64,7 +67,7 @@ def flat(pieces: Iterable[Piece | StageLoop]) -> Iterator[Piece]:
 
 
 def note_of(node: Node) -> str:
-    """Return the note of a node, "" if it has none or several."""
+    """Return the comment of a node, "" if it has none or several."""
     notes = {c.note for c in calls((node,)) if c.note}
     return notes.pop() if len(notes) == 1 else ""
 

@@ -31,7 +31,7 @@ def print_frame(routine: LoopedRoutine, style: CStyle) -> str:
 
 
 def call(routine: LoopedRoutine, style: CStyle) -> tuple[tuple[str, ...], str]:
-    """Return the names of all parameters of a product, and its call, which passes those that it reads or writes."""
+    """Return the names of all parameters of a product, and its call with the parameters that it reads or writes."""
     frame = routine.sweep.frame
     assert frame is not None
     names = tuple(name_parameters(frame))
@@ -65,7 +65,7 @@ def _declarations(routine: LoopedRoutine, frame: Frame, style: CStyle) -> list[s
 
 
 class _Printer:
-    """A printer of the nodes of one sweep."""
+    """A printer prints the nodes of one sweep."""
 
     def __init__(self, routine: LoopedRoutine, frame: Frame, style: CStyle) -> None:
         self._leaves, self._places, self._style = routine.leaves, frame.places, style
@@ -84,7 +84,7 @@ class _Printer:
         return lines
 
     def _print_nest(self, node: Block, indent: str, names: Names, scalars: set[str]) -> list[str]:
-        """Print a loop or a condition; loads that do not depend on an innermost loop stand before it."""
+        """Print a loop or a condition; loads that do not depend on an innermost loop come before it."""
         inner, lines = indent + "    ", []
         if isinstance(node, For) and len(node.body) == 1 and isinstance(node.body[0], Call):
             call = node.body[0]

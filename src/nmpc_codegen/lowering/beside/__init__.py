@@ -1,1 +1,1 @@
-"""These files go beside those of a package: the loop with an estimator, a ring of dumps; and the folder for all."""
+"""Files beside a package are made here: the loop with an estimator, a ring of dumps; and the folder of all files."""

@@ -39,7 +39,7 @@ def with_dumps(package: Mapping[str, str], description: PackageDescription, slot
 
 
 def obsolete_dumps(name: str) -> dict[str, str]:
-    """Return the header that an earlier export may have left, and how it begins."""
+    """Return the path of the header that an earlier export may have left, and the header's first words."""
     return {f"{name}_dumps.h": f"/* {name}_dumps: the last "}
 
 

@@ -33,7 +33,7 @@ EXAMPLE = "main.c"  # an example, which is not needed, so that an edited one is 
 
 @dataclass(frozen=True)
 class FileChange:
-    """A file to write: its path and bytes, bytes and mode of the old file, and whether the old one is the user's."""
+    """A change is a file to write: path and bytes, bytes and mode of the old file, and if the user has edited it."""
 
     target: Path
     data: bytes
@@ -43,7 +43,7 @@ class FileChange:
 
     @property
     def new(self) -> Path:
-        """Return its temporary name."""
+        """Return the temporary name of the new file."""
         return self.target.with_name(self.target.name + TEMPORARY)
 
 

@@ -22,7 +22,7 @@ _TYPE = re.compile(
 
 
 class Expression(NamedTuple):
-    """A C expression: its kind, its place in the text, its operator or name, its operands.
+    """A C expression has a kind, a place in the text, an operator or name, and operands.
 
     ``kind`` is name, number, call (of a name), index, member, unary, binary, assign, group (in parentheses) or other.
     """

@@ -1,4 +1,4 @@
-"""Constants of a package decide expressions: their range, their truth, whether they have effects."""
+"""Constants of a package determine expressions: their range, their truth, whether they have effects."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _MONOTONE: Mapping[tuple[str, int], Callable[..., Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Constants:
-    """The facts that a package knows at export.
+    """Constants are the facts that a package knows at export.
 
     sizes: values of sizes and features; ranges: least and greatest value of entries of tables and of results of
     functions; absent: (struct, member) that no struct has; types: (struct, member) -> its struct; kernels: macros and
@@ -55,7 +55,7 @@ class Constants:
         return any(word in self.sizes or word in self.ranges for word in words(text))
 
     def effects(self, found: Expression) -> bool:
-        """Return True if it assigns, counts or calls a function with side effects."""
+        """Return True if the expression assigns, counts or calls a function with side effects."""
         if found.kind == "call" and not any(found.word in known for known in (self.ranges, self.pure, PURE)):
             calls = not found.word.isupper() or found.word in self.calling
         else:
@@ -65,7 +65,7 @@ class Constants:
     def range(self, found: Expression, variables: Mapping[str, Range]) -> Range | None:
         """Return least and greatest value of an expression; None if it depends on data.
 
-        ``variables`` holds the ranges of its variables.
+        ``variables`` holds the ranges of the expression's variables.
         """
         match found.kind:
             case "number":
@@ -87,7 +87,10 @@ class Constants:
         return None if values is None or values[0] < values[1] else bool(values[0])
 
     def reduce(self, text: str) -> bool | str:
-        """Return a condition without the operands that constants decide; True or False if they decide it."""
+        """Return a condition without operands of known value.
+
+        True or False if the condition itself has a known value.
+        """
         found = expression(text)
         left = self._reduce(text, found)
         if isinstance(left, bool) or found.kind == "group" or (bare := expression(left)).kind != "group":

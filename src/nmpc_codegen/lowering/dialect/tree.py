@@ -36,7 +36,7 @@ _DIRECTIVES = "expected #if, #elif, #else or #endif at the start of a line"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Node:
-    """A piece of text[start:end].
+    """A node is a piece of text[start:end].
 
     head: place of the condition of an "if", of the parentheses of a "loop", of the signature of a "function", of the
     condition of a "branch" of `#if`. inside: place of its content. other: the "if" or the "block" after else.
@@ -208,7 +208,10 @@ class _Parser:
         return nodes, (token.end, end), closing.end
 
     def statement(self, at: int, word: str) -> Node:
-        """Return a statement or declaration with the comment after it, or a function, whose brace begins a line."""
+        """Parse a statement or declaration with the comment after it.
+
+        A brace that begins a line marks a function, which is returned instead.
+        """
         while True:
             token = self.tokens[self.place]
             if token.text == "{" and self.text[token.start - 1] == "\n":

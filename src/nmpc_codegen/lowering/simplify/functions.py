@@ -66,7 +66,7 @@ def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
 
 
 def _of_choice(text: str, node: Node, above: Node | None, around: set[str], known: Constants) -> Iterator[Edit]:
-    """Yield edits of an if whose branches are decided, or empty."""
+    """Yield edits that simplify an `if` whose condition is constant, or one of whose branches is empty."""
     chain = [node]
     while chain[-1].other is not None:
         chain.append(chain[-1].other)
@@ -94,7 +94,7 @@ def _decidable(head: str, known: Constants) -> bool:
 
 
 def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | None, around: set[str]) -> Edit:
-    """Return the edit that removes one branch of a chain."""
+    """Return the edit that removes one branch of a chain of if and else."""
     branch = chain[place]
     if branch.other is None:
         if place == 0:
@@ -113,7 +113,7 @@ def _take(text: str, branch: Node, place: int, above: Node | None, around: set[s
 
 
 def _left(text: str, chain: Node, block: Node, above: Node | None, around: set[str]) -> Edit:
-    """Return the edit that replaces a chain of branches by its only remaining block."""
+    """Return the edit that replaces a chain of if and else by its only remaining block."""
     lifted = _unindent(text, block, around)
     return Edit(chain.start, chain.end, lifted) if lifted else Edit(*whole_lines(text, chain, above), "")
 

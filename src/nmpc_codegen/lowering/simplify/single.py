@@ -40,10 +40,10 @@ def _value(text: str, node: Node, known: Constants) -> tuple[str, str] | None:
 
 
 def _may_stand_alone(text: str, function: Node, node: Node, variable: str) -> bool:
-    """Return True if the statements of a loop may replace it.
+    """Return True if the statements of a loop may replace the loop.
 
-    Nothing leaves the loop early, its counter does not change, no directive refers to it, and none of its names occurs
-    outside.
+    This requires that nothing leaves the loop early, its counter does not change, no directive refers to the counter,
+    and none of the loop's names occurs outside.
     """
     if text[: node.start].rstrip().rpartition("\n")[2].startswith("#"):
         return False

@@ -51,7 +51,7 @@ def in_header(size: Size, problem: Problem) -> int | None:
 
 
 def members(dims: Dims) -> list[Field]:
-    """Return the members that keep data of the sample before."""
+    """Return the members that keep data of the previous sample."""
     return [
         Field("previous", (dims.nu,), "controls that were applied last", "keep", only=lambda f: f.previous),
         Field("time", (), "time of the next sample", "keep", only=lambda f: f.timed),

@@ -206,7 +206,7 @@ def hessian_blocks(module: CModule) -> str:
 
 
 def print_intervals(routines: Iterable[Routine], style: CStyle) -> str:
-    """Return those of the routines that call functions of parts and therefore follow them."""
+    """Return those of the routines that call functions of C files and therefore follow these functions."""
     called = (r for r in routines if isinstance(r, LoopedRoutine) and r.calls_parts)
     return _paragraphs(*(print_routine(r, style) for r in called))
 

@@ -1,4 +1,4 @@
-"""A hook call of an algorithm becomes one call for every hooked part that defines the hook."""
+"""The call of a hook in an algorithm becomes one call for every hooked part that defines the hook."""
 
 from __future__ import annotations
 

@@ -65,19 +65,19 @@ class Item:
 
     @cached_property
     def calls(self) -> frozenset[str]:
-        """Return the functions and macros that it calls."""
+        """Return the functions and macros that the item calls."""
         return calls(self.text)
 
     @cached_property
     def reads(self) -> frozenset[str]:
-        """Return the names that it uses and does not declare."""
+        """Return the names that the item uses and does not declare."""
         if self.kind in ("section", "heading", "alias"):
             return frozenset()
         return free_names(self.text) if self.is_prunable else names_in_code(self.text)
 
     @cached_property
     def words(self) -> frozenset[str]:
-        """Return all names in its code, including members and variables."""
+        """Return all names in the code of the item, including members and variables."""
         return self.defines if self.kind == "alias" else words(blank(self.text)) | self.defines
 
     @property

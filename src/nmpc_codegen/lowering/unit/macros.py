@@ -61,7 +61,7 @@ CHOSEN: Mapping[str, str] = {
 
 
 def short_names(name: str, structs: Sequence[Struct]) -> tuple[Item, ...]:
-    """Return the types of the header of the package ``name`` without their prefix, under a heading."""
+    """Return typedefs of the header's types of the package ``name`` without prefix, under a comment."""
     heading = Item("", "heading", "/* Short names inside this translation unit. */")
     types = [f"{struct}_t" for struct in (*(s.name for s in structs), "status")]
     return (heading, alias("real_t", f"{name}_real"), *(alias(short, f"{name}_{short}") for short in types))
@@ -73,7 +73,7 @@ def alias(name: str, text: str, note: str = "") -> Item:
 
 
 def macro(name: str, text: str, arguments: str | None = None, note: str = "") -> Item:
-    """Return a macro; ``arguments`` holds their names, separated by commas."""
+    """Return a macro; ``arguments`` holds the names of its arguments, separated by commas."""
     return Item(name, "macro", text, arguments, apart=False, note=note)
 
 

@@ -24,7 +24,7 @@ _BEFORE = re.compile(r";[ \t]*\n|^#(?:[^\\\n]|\\.)*\n", re.MULTILINE | re.DOTALL
 
 
 def no_generated_part(path: str) -> str:
-    """Raise LookupError; it serves parts without generated includes.
+    """Raise LookupError; this function serves parts without generated includes.
 
     Raises:
         LookupError: always.

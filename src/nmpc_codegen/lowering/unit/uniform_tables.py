@@ -20,7 +20,7 @@ _ZERO_LITERAL = re.compile(r"0\.0F?")
 
 @dataclass(frozen=True)
 class Same:
-    """A table whose entries are all ``value``."""
+    """All entries of a table are ``value``."""
 
     name: str
     value: str
@@ -39,7 +39,7 @@ class Same:
 
     @property
     def scalar(self) -> str:
-        """Return the definition of its entry."""
+        """Return the definition of a scalar that replaces the entries."""
         return f"static const real_t {self.name} = {self.value};"
 
 
@@ -105,7 +105,7 @@ def _fold(item: Item, found: Mapping[str, Same]) -> Item | None:
 
 
 def _put(text: str, name: str, same: Same) -> str:
-    """Return the text with the entry in place of its reads."""
+    """Return the text with the entry instead of its reads."""
     pattern = re.compile(rf"(?<![.\w])(?<!->)\b{name}\[")
     while match := pattern.search(blank(text)):
         text = text[: match.start()] + same.text + text[_end(text, match.end()) :]

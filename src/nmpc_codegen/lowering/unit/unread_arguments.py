@@ -104,7 +104,7 @@ def functions_without_effect(items: Sequence[Item]) -> frozenset[str]:
 
 
 def _free(items: Sequence[Item]) -> list[Item]:
-    """Return the functions that may change, because only functions of parts call them."""
+    """Return the functions that may be changed, because only functions of parts call them."""
     fixed = {name for item in items if item.state == "ready" for name in item.calls}
     fixed |= {name for item in items if item.kind in ("table", "directive", "type") for name in item.reads}
     fixed = fixed.union(*(_values(item.text) for item in items))
@@ -162,7 +162,7 @@ def _with_calls(text: str, given: Mapping[str, str]) -> str:
 
 
 def _synonyms(items: Iterable[Item]) -> dict[str, str]:
-    """Return {macro: the call that it stands for}, with {} for its arguments, for macros that are only a call."""
+    """Return {macro: call that it stands for}, with {} for its arguments, for macros whose text is only a call."""
     macros = [item for item in items if item.kind == "macro"]
     found = {item.name: item.text for item in macros if item.arguments == ""}
     for item in macros:

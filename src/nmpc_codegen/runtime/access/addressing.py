@@ -19,7 +19,7 @@ EVERY_NODE = -1  # <NAME>_ALL of the C package
 
 
 class Checked(NamedTuple):
-    """A checked value of a parameter: its number, the element of the vector (None: all), and rows of values."""
+    """A checked value of a parameter has its index, the element of the vector (None: all), and rows of values."""
 
     number: int
     column: int | None
@@ -82,7 +82,7 @@ class Addressing(Iterate):
         return tuple(n for n in lengths if n > self.dims.N) if at_end else lengths
 
     def _lengths(self, kind: Kind, what: str, node: int | None) -> tuple[int, ...]:
-        """Return how many rows a value with one row for each node may have; () if only one row is allowed.
+        """Return the allowed numbers of rows of a value with one row for each node; () if only one row is allowed.
 
         One row is allowed for a single node, and for data that all nodes share.
 

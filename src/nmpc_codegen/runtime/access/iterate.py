@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 
 class Iterate:
-    """An object that holds structs of a package and views their iterate; shapes are given for one struct."""
+    """An iterate is an object that holds structs of a package and views their plan; shapes are those of one struct."""
 
     def __init__(self, package: CompiledPackage, struct: NDArray[np.void]) -> None:
         self._package = package

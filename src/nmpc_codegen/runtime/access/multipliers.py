@@ -21,7 +21,7 @@ Places = tuple[list[int], Any]
 
 
 class RowMultipliers:
-    """A map from the name of a multiplier to its places in the vector of a package."""
+    """The map leads from the name of a multiplier to its indices in the vector of a package."""
 
     def __init__(self, description: PackageDescription) -> None:
         d, rows = description.dims, description.rows

@@ -23,7 +23,7 @@ Named = Mapping[str, ArrayLike]
 
 
 class Telling(Addressing):
-    """A base class that checks data, completes them from stored data and passes them to C.
+    """The base class checks data, completes them from stored data and passes them to C.
 
     Refused data change nothing.
     """
@@ -51,7 +51,7 @@ class Telling(Addressing):
             self._send(f"terminal_{kind}", at_end, None)
 
     def _at_end(self, kind: str, rows: Array) -> Array:
-        """Return the terminal residual's part of the last row of the path, in the form in which it is stored."""
+        """Return the terminal reference or weight, as stored, from the terminal residual's entries of the last row."""
         places = self._path_of_end or []
         if kind == "reference":
             return rows[:, -1:, places]

@@ -158,7 +158,7 @@ class Driver:
         return status
 
     def _worth(self, function: str | None, count: int) -> int:
-        """Return the number of threads for a call: by the last call, each works longer than it takes to wake it."""
+        """Return the number of threads for a call: each must work longer than it takes to wake it, by the last call."""
         return max(1, min(self.threads, count, round(count * self._took.get(function, UNKNOWN) / WAKING)))
 
     def share(self, function: Callable[[Any], Any], work: Sequence[Any], interruptible: bool = False) -> None:
@@ -210,5 +210,5 @@ def _cores() -> int:
 
 
 def _step(array: Array | None) -> int:
-    """Return the number of bytes between the data of one controller and of the next one; 0 if all share them."""
+    """Return the distance in bytes between the data of two controllers; 0 if all share the data."""
     return 0 if array is None or len(array) == 1 else array.strides[0]

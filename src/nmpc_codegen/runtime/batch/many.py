@@ -31,7 +31,7 @@ Array = NDArray[Any]
 
 
 class Batch(Structs):
-    """M independent controllers of one package, which begin as copies of one controller.
+    """A batch has M independent controllers of one package, which begin as copies of one controller.
 
     x, u, lam, mu_u are views whose first axis has length M, before the axes of a Controller: x (M, N+1, nx). mu_x, mu,
     mu_N, eta are read-only copies of the same form. many[i] is a Controller on the same memory. ``threads`` threads

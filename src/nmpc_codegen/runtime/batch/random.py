@@ -48,7 +48,7 @@ Random = Normal | Uniform
 
 @dataclass(frozen=True, eq=False)
 class DrawnSignal:
-    """A random signal is stated by the sizes of the states (nx,), its distribution and its number in the generator."""
+    """A random signal has the sizes of the states (nx,), a distribution, and a number in the generator."""
 
     size: Array
     uniform: bool

@@ -26,9 +26,9 @@ NEAR = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class PlanData:
-    """The data from which the rows of a plan are evaluated.
+    """The rows of a plan are evaluated from these data.
 
-    States and parameters include those that the compiler has added behind the user's. Bounds and multipliers are those
+    States and parameters include those that the compiler has added. Bounds and multipliers are those
     of all rows at all nodes.
     """
 
@@ -43,7 +43,7 @@ class PlanData:
 
 @dataclass(frozen=True, eq=False)
 class RowsOfPlans:
-    """Values, distances to the nearer bound, and multipliers of the rows of n plans, (n, N+1, number of rows) each.
+    """The rows of n plans have values, distances to the nearer bound, and multipliers, (n, N+1, number of rows) each.
 
     Values are NaN where a row does not hold. ``active`` marks active rows; violations up to ``rounding`` (number of
     rows,) are rounding errors.

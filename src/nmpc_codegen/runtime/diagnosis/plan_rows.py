@@ -20,7 +20,7 @@ MOST_VALUES = 2**21
 
 @dataclass(frozen=True)
 class Violation:
-    """A row that is outside its bounds by ``amount``.
+    """A violation is a row that is outside its bounds by ``amount``.
 
     ``size`` is its scale, or its largest finite bound or value in the plan.
     """

@@ -27,7 +27,7 @@ Named = ArrayLike | Mapping[str, ArrayLike]
 
 
 class Observer(Setters):
-    """An estimator with its memory; build() or open_estimator() creates it ready to step.
+    """An observer is an estimator with its memory; build() or open_estimator() creates it ready to step.
 
     Attributes:
         description: the content of <name>.json.

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class Sensing:
-    """The sensors and the estimator of a closed loop, and a record of their samples.
+    """Sensing combines the sensors and the estimator of a closed loop, with a record of their samples.
 
     ``truth`` is a controller with the parameters of the plant; in ``ctrl`` the estimator overwrites those that it
     estimates.

@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Flights(Flown):
-    """The results of F flights, which are closed loops with the same number of samples.
+    """Flights are the results of F closed loops with the same number of samples.
 
     The attributes of Flown hold the results of each flight: number, start, samples, ended, failed, broken, cost,
     violation, last, seconds.

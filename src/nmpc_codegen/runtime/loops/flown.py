@@ -129,7 +129,7 @@ class Flown:
 
 
 def layout(labels: Labels) -> dict[str, tuple[type, tuple[int, ...]]]:
-    """Return {column: (type, shape behind the axis of flights)}."""
+    """Return {column: (type, shape after the axis of flights)}."""
     nx = (len(labels.states),)
     found: dict[str, tuple[type, tuple[int, ...]]] = {
         "number": (np.int64, ()),

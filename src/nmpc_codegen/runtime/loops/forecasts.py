@@ -4,8 +4,9 @@ A table has a row for each sample, and before that an axis of flights if they di
 
     a number; (n,), (flights, n) for a number; (n, size), (flights, n, size) for a vector
 
-1 in the place of flights: the same for all. At sample k a node of time t_j after it takes the row of the sample that is
-the last one at or before that time, so that a forecast moves along by itself; the last row holds from there on.
+If the axis of flights has length 1, all flights share the values. At sample k, a node that is t_j later takes the row
+of the last sample at or before its time, so that a forecast moves along by itself; the last row holds for all later
+times.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _KINDS: dict[str, Kind] = {
 
 @dataclass(frozen=True, eq=False)
 class TableColumn:
-    """The values of one element over the samples: (1 or flights, n)."""
+    """A column has the values of one element over the samples: (1 or flights, n)."""
 
     place: int
     values: Array
@@ -47,7 +48,7 @@ class TableColumn:
 
 @dataclass(frozen=True, eq=False)
 class SetterData:
-    """The columns of one setter: of parameter or row ``number``, or of references.
+    """The data of one setter are columns of parameter or row ``number``, or of references.
 
     ``offset`` is the number of the first column. Bounds have two columns, the lower and the upper one.
     """

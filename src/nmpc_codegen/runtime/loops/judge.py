@@ -82,7 +82,7 @@ class Judge:
         return cost, np.array(amounts).reshape(len(self.rows), flights).T
 
     def _added_states(self, u: Array, data: Samples) -> Array:
-        """Return the states added to the user's at every sample: time, then the controls of the sample before."""
+        """Return the states added to the user's at every sample: time, then the controls of the previous sample."""
         found = self.description.augmentation
         flights, steps, _ = u.shape
         parts = []
@@ -131,7 +131,7 @@ class Judge:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """The data of flights.
+    """Samples are the data of flights.
 
     p: parameters with added ones (flights, steps + 1, np + added); yref: references (flights, steps, ny); W: weights
     (flights, ny) or (flights, ny, ny); lower, upper: bounds (flights, 1 or steps + 1, rows); time: that of the first
@@ -164,7 +164,10 @@ def _is_of_path(row: Row, N: int) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class HeldData:
-    """The data that structs hold before the flights, as views by member; a flight changes only its own."""
+    """Held data are the data that structs hold before the flights, as views by member.
+
+    A flight changes only its own.
+    """
 
     members: Mapping[str, Array]
 
@@ -176,7 +179,7 @@ class HeldData:
         return np.asarray((found if len(found) == 1 else found[flights])[:, 0], dtype=np.float64)
 
     def whole(self, name: str, flights: slice) -> Array:
-        """Return a member as (flights or 1, size)."""
+        """Return a member of the struct as an array (F, size), or (1, size) if all flights share it."""
         found = self.members[name]
         rows = np.array(found if len(found) == 1 else found[flights], dtype=np.float64)
         return rows.reshape(len(rows), math.prod(rows.shape[1:]))

@@ -47,7 +47,7 @@ FAILURES = sum(1 << status for status in Status if status.is_failure)
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """Closed loops with the same number of samples, which begin at ``starts`` (F, nx).
+    """A loop states closed loops with the same number of samples, which begin at ``starts`` (F, nx).
 
     Each controller has a struct of its own, or all flights begin with a copy of one struct.
     """

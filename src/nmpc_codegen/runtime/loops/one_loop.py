@@ -31,7 +31,7 @@ Law = Literal["step", "solve"] | Sample
 
 @dataclass(frozen=True, eq=False)
 class Conduct:
-    """The Python functions that take part in a loop; see simulate()."""
+    """The conduct of a loop is the Python functions that take part in it; see simulate()."""
 
     plant: Plant | None = None
     disturbance: Disturbance | None = None
@@ -66,7 +66,7 @@ def run(loop: Loop, ctrl: Controller, conduct: Conduct, every: int, warm_start: 
 
 
 class _Flight:
-    """A base class with the compiled loop, whose outputs are the arrays of the log."""
+    """The base class has the compiled loop, whose outputs are the arrays of the log."""
 
     sensing: Sensing | None = None
 
@@ -138,7 +138,7 @@ class _Compiled(_Flight):
 
 
 class _InPython(_Flight):
-    """A loop in Python with the same samples, phase by phase."""
+    """A loop runs in Python with the same samples, phase by phase."""
 
     def __init__(self, loop: Loop, ctrl: Controller, conduct: Conduct, notes: Notes) -> None:
         super().__init__(loop, ctrl, conduct, notes)

@@ -16,7 +16,7 @@ LONG_RUN = 200
 
 
 class Progress:
-    """A display of how many of ``total`` samples or flights are done; ``done`` were finished before this run.
+    """A display shows how many of ``total`` samples or flights are done; ``done`` were finished before this run.
 
     With ``shown=None`` it is a bar, if there are many and the stream is a terminal or a notebook with ipywidgets;
     otherwise it is a line every ten seconds. With ``shown=False`` nothing is shown.

@@ -63,7 +63,7 @@ def simulate(
             Normal(std), Uniform(half_width), or standard deviations, for all states or by name.
         before: before(k, ctrl), called before sample k, and before the solve() of ``warm_start``, to set further data.
         warm_start: call solve(x0) before the first sample: a cold start with hard rows may need more iterations.
-        law: "step": step(x) at every sample; "solve": solve(x) from the shifted plan of the sample before.
+        law: "step": step(x) at every sample; "solve": solve(x) from the shifted plan of the previous sample.
         noise: noise(k, x) -> value added to the state that the controller receives; or random numbers.
         parameters: {name: table over the samples}: a number, (n,), or (n, size) for a vector. A node reads the row of
             the sample at its time, or of the present sample if all nodes share it; the last row holds on.

@@ -19,7 +19,7 @@ PER_SAMPLE = ("cost", "time_ns")
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """A column (n,) of a table, with the kind, name and unit of its quantity.
+    """A column (n,) of a table has the kind, name and unit of its quantity.
 
     Later rows of the table, if there are more, have no value in this column.
     """

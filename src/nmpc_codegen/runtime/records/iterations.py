@@ -12,7 +12,7 @@ from nmpc_codegen.package.status import Kkt
 
 @dataclass(frozen=True)
 class Iteration:
-    """One SQP iteration.
+    """The record has the results of one SQP iteration.
 
     Attributes:
         kkt: residuals at its end, absolute by parts and relative.

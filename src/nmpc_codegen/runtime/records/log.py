@@ -25,7 +25,7 @@ MOST_RANGES = 4  # largest number of ranges of samples that the summary lists fo
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Log(Record):
-    """The record of a closed loop, which can be summarised, plotted, tabulated and saved.
+    """A log is the record of a closed loop, which can be summarised, plotted, tabulated and saved.
 
     simulate() and open_recording() return a Log; print(log) prints its summary.
 

@@ -173,7 +173,7 @@ class Replay:
 def replay(
     dump: bytes | str | os.PathLike[str] | Array, package: Controller | str | Path, xhat: ArrayLike | None = None
 ) -> Replay:
-    """Take the samples of a dump again.
+    """Repeat the recorded samples of a dump with a controller, and compare the results.
 
     Args:
         dump: the bytes of a <name>_dumps_t (see export(..., dumps=)) or of a <name>_solver_t, or a file with these

@@ -27,7 +27,7 @@ Values = Callable[[int], Expression]
 
 
 class IntervalDerivatives:
-    """F, F_z and H of one problem with their sparsity patterns.
+    """The derivatives of an interval are F, F_z and H of one problem with their sparsity patterns.
 
     Attributes:
         nF: number of rows of F, nx or nx + 1.
@@ -206,8 +206,8 @@ class IntervalDerivatives:
     def depends_on_time_alone(self, column: int) -> bool:
         """Return True if this column of d x(t) / d(x, u) depends only on time.
 
-        This is the case if all states that it reaches enter F linearly with constant coefficients. A column that
-        reaches more than CLOSED_STATES of them is treated as one that does not.
+        This is the case if all states that the column reaches enter F linearly with constant coefficients. Columns that
+        reach more than CLOSED_STATES states are not treated in this way.
         """
         constant: dict[int, bool] = {}
         rows: dict[int, list[int]] = {}

@@ -24,7 +24,7 @@ ADJOINT_DOC = "g = [A B]' adj, where [A B] = d Phi / d(x, u)"
 
 
 class Directional:
-    """The two sweeps of one problem, scheme and number of steps."""
+    """A directional product consists of two sweeps of one problem, scheme and number of steps."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int) -> None:
         self.rk = RungeKutta(problem, tableau, steps)

@@ -138,7 +138,7 @@ class Sensitivities:
         return self._column("Ks", self.rk.nx, stage)
 
     def _step(self) -> list[Node]:
-        """Return one step of X and Sx in place; K and Ks hold the slopes of the stages."""
+        """Return the statements of one step of X and Sx in place; K and Ks hold the slopes of the stages."""
         rk, f, ld = self.rk, self.f, self.ld
         S, h = self._column("Sx", rk.nx), Slice("h", 1)
         nodes: list[Node] = []

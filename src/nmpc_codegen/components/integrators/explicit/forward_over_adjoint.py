@@ -45,7 +45,7 @@ class AdjointSweep(Builder):
         return Slice("Zs", len(self.d.curved_states), Affine(stage * size, terms), self.ld)
 
     def _slope(self, stage: int) -> list[Node]:
-        """Return the columns of K_i' in the first sweep."""
+        """Return the statements that compute the columns of K_i', the derivative of K_i, in the first sweep."""
         return [*self.again(stage, self.d.slopes), self.slope(stage, self.d.curved_states, self._curved_column(stage))]
 
     def _second(self, stage: int) -> list[Node]:
@@ -83,7 +83,7 @@ class AdjointSweep(Builder):
         return self.columnwise(replace(update, note="second derivatives of the step"))
 
     def _results(self) -> list[Node]:
-        """Return Q += [lam'; ubar'], rows up to their diagonal."""
+        """Return the statements Q += [lam'; ubar'], rows up to their diagonal."""
         nodes: list[Node] = []
         for a, j, n in self.runs:
             buffer = "adjS" if j < self.nx else "ubarS"

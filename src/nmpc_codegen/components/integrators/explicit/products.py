@@ -27,7 +27,7 @@ from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, add_not
 
 
 class IntervalSweeps:
-    """The four products of one problem, scheme and number of steps as sweeps."""
+    """The four products of one problem, scheme and number of steps are written as sweeps."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int) -> None:
         self.rk, self.f = RungeKutta(problem, tableau, steps), SchemeDynamics(problem)
@@ -137,11 +137,11 @@ class IntervalSweeps:
         return Slice("Xbar", self.nx, Affine(stage * self.nx))
 
     def _column(self, buffer: str, block: int = 0) -> Slice:
-        """Return column c of a matrix [nx][nu]."""
+        """Return the slice of column c, the counter of the loop, of matrix number ``block`` [nx][nu] in ``buffer``."""
         return Slice(buffer, self.nx, Affine(block * self.nx * self.nu, (("c", 1),)), self.nu)
 
     def _stages(self, point: Callable[[int], Slice]) -> list[Node]:
-        """Return the points and slopes of all stages."""
+        """Return the statements that compute points and slopes of all stages."""
         nodes: list[Node] = []
         for i in range(self.stages):
             slope = Call(self.f.leaf_f(), (point(i), *self.rk.up), (self._slope(i),))

@@ -127,7 +127,7 @@ class Quadrature:
         return Slice("Xbar", self.nx, Affine(stage * self.nx))
 
     def _stage(self, stage: int, point: Slice, rate: bool = True) -> list[Node]:
-        """Return the stage point, and K_i and the rate at it."""
+        """Return the statements that compute the stage point, K_i and the rate there."""
         leaf = ca.Function("f_and_rate", [self.x, self.u, self.p], [self.f, self.rate])
         outs: tuple[Slice, ...] = (self.rk.slope(stage), Slice("L", 1, Affine(stage)))
         if not rate:

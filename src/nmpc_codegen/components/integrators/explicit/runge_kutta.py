@@ -59,7 +59,7 @@ MEANINGS: Mapping[str, str] = {
 
 
 class RungeKutta:
-    """Calls for sweeps of one problem, scheme and number of steps."""
+    """Sweeps of one problem, scheme and number of steps consist of these calls."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int = 1) -> None:
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
@@ -97,7 +97,7 @@ class RungeKutta:
     def combine(
         self, name: str, coefficients: Sequence[Coefficient], x: Slice, slope: Callable[[int], Slice], y: Slice
     ) -> Call:
-        """Return y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
+        """Return the statement y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
         value, h = ca.SX.sym("x", x.size), ca.SX.sym("h")
         used = [j for j, c in enumerate(coefficients) if c]
         slopes = [ca.SX.sym(f"K{j}", x.size) for j in used]
@@ -110,7 +110,7 @@ class RungeKutta:
         return self.combine(f"{name}_{stage}", self.tableau.a[stage], self.state, self.slope, target)
 
     def update(self, name: str, x: Slice, slope: Callable[[int], Slice], target: Slice | None = None) -> Call:
-        """Return target = x + h sum_i b_i K_i; without a target, x is updated in place."""
+        """Return the statement target = x + h sum_i b_i K_i; without a target, x is updated in place."""
         return self.combine(name, self.tableau.b, x, slope, target or x)
 
     def update_state(self, target: Slice | None = None) -> Call:
@@ -158,7 +158,7 @@ class RungeKutta:
         return combine(ca.SX.zeros(*value.shape), h, slopes, coefficients)
 
     def update_adjoint(self, name: str, adjoint: Slice, bar: Callable[[int], Slice], down: bool = False) -> Call:
-        """Return adjoint += sum_i Xbar_i, summed from the last stage ``down`` or from the first one up."""
+        """Return the statement adjoint += sum_i Xbar_i, summed from the last stage ``down`` or from the first stage."""
         value = ca.SX.sym("adj", adjoint.size)
         stages = range(self.stages)[:: -1 if down else 1]
         bars = [ca.SX.sym(f"Xbar{i}", adjoint.size) for i in stages]

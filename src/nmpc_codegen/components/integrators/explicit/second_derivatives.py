@@ -142,7 +142,7 @@ class Builder:
         return ca.vec(rows.T)
 
     def forcing(self, Fu: Expression, tape: Expression, units: Expression) -> Expression:
-        """Return one column of [0 F_u]: constants come from a table, other entries multiply unit rows of controls."""
+        """Return the statements for one column of [0 F_u], with constants from a table and unit rows of controls."""
         column = ca.SX(self.nF, 1)
         for n, i in enumerate(self.forced):
             column[i] = Fu[n]
@@ -158,7 +158,7 @@ class Builder:
         return column
 
     def curvature_forcing(self, H: Expression, units: Expression) -> Expression:
-        """Return one column of [0 H_u], in the rows of H."""
+        """Return the statements for one column of [0 H_u], in the rows of H."""
         terms: dict[tuple[int, int], Expression] = {}
         for (r, c), n in self.d.hessian.items():
             for row, j in {(r, c), (c, r)}:
@@ -171,7 +171,7 @@ class Builder:
         return column
 
     def full_hessian(self, values: Expression) -> Expression:
-        """Return H as a symmetric matrix, from its distinct values."""
+        """Return the statements that fill H as a symmetric matrix, from its distinct values."""
         full = ca.SX(self.nz, self.nz)
         for (r, c), n in self.d.hessian.items():
             full[r, c] = full[c, r] = values[n]
@@ -198,7 +198,7 @@ class Builder:
         return add_notes(nodes, "start")
 
     def evaluate(self, stage: int) -> list[Node]:
-        """Return the stage point and K_i, and the tape if it is stored."""
+        """Return the statements for the stage point and K_i, and for the tape if it is stored."""
         point, K = Slice("Xi", self.nx) if self.wide else self.point(stage), self.rk.slope(stage)
         start = Call(copy("copy_x", self.nx), (self.rk.state,), (point,))
         nodes: list[Node] = [self.rk.point(stage, point) if any(self.tableau.a[stage]) else start]
@@ -244,7 +244,7 @@ class Builder:
         return self.columnwise(replace(update, note="sensitivities of the step"))
 
     def again(self, stage: int, length: int) -> list[Node]:
-        """Evaluate the first ``length`` values of the tape again if it is not stored."""
+        """Return the statements that evaluate the first ``length`` values of the tape again if it is not stored."""
         if self.d.keeps_tape or not length:
             return []
         return [
@@ -252,7 +252,7 @@ class Builder:
         ]
 
     def backward(self) -> list[Node]:
-        """Return one step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i."""
+        """Return the statements of one step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i."""
         nodes: list[Node] = []
         for i in reversed(range(self.stages)):
             stage = [*self.again(i, self.d.slopes), self._backward_stage(i)]

@@ -69,7 +69,7 @@ class ThreeSweeps(Builder):
         return [*nodes, self.loop([*third, self.update_columns()])]
 
     def _points(self) -> list[Node]:
-        """Return stage points and slopes, and the update of the state."""
+        """Return the statements for stage points and slopes, and for the update of the state."""
         return [*(node for i in range(self.stages) for node in self.evaluate(i)), self.rk.update_state()]
 
     def _clear(self) -> list[Node]:
@@ -92,7 +92,10 @@ class ThreeSweeps(Builder):
         return self.slope(stage, self.d.curved_states, self._curved_column(stage))
 
     def _bend(self, stage: int) -> list[Node]:
-        """Return HZ = H [Z; 0 I], curved rows; a complete group of stages then adds its terms to the result."""
+        """Return the statements HZ = H [Z; 0 I], curved rows.
+
+        A complete group of stages then adds its terms to the result.
+        """
         d = self.d
         H, Z, units = ca.SX.sym("H", d.values), ca.SX.sym("Z", len(d.curved_states)), ca.SX.sym("E", len(self.controls))
         value = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)

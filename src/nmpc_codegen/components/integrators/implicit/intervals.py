@@ -25,7 +25,7 @@ START = "z"
 
 
 class Intervals:
-    """The routines of one problem, scheme, number of steps per interval and of Newton steps per stage."""
+    """The routines belong to one problem, scheme, number of steps per interval and of Newton steps per stage."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int, newton: int) -> None:
         self.problem, self.kernels = problem, stage_kernels(problem)

@@ -1,6 +1,6 @@
 """Functions of a node with algebraic variables first compute z and W = -(dg/dz)^-1, stored after the parameters.
 
-Node N has no control; there the equations use the controls of the node before, which are states.
+Node N has no control; its equations use the controls of node N - 1, which are states.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ R = TypeVar("R", Routine, Routine | None)
 
 
 def with_node_data(functions: ModelFunctions, problem: Problem) -> ModelFunctions:
-    """Return the functions of a package, with z and W computed where they are read."""
+    """Return the functions of a package; those that read z and W first compute them."""
     complete = _Completion(problem)
 
     def stage(model: StageModel) -> StageModel:
@@ -75,7 +75,7 @@ class _Completion:
     def __call__(self, routine: R) -> R:
         """Return the routine with the parameters of the node as input.
 
-        If it reads z or W, the call that computes them comes first.
+        A routine that reads z or W begins with the call that computes z and W.
         """
         if routine is None or all(port.name != "p" for port in routine.inputs):
             return routine
@@ -144,7 +144,7 @@ def _with_leaf(kernel: Kernel) -> LoopedRoutine:
 
 
 def _controls_before(problem: Problem) -> Function:
-    """Return the function (x) -> controls of the node before, as far as the problem stores them."""
+    """Return the function (x) -> controls of the previous node, as far as the problem stores them."""
     x = ca.SX.sym("x", problem.nx)
     u = ca.SX(ca.vertcat(*problem.controls_before(elements(x))))
     return ca.Function("controls_before", [x], [ca.densify(u)])

@@ -22,7 +22,7 @@ def _sums(n: int) -> OpCount:
 
 @dataclass(frozen=True, eq=False)
 class ImplicitCounts:
-    """The counts for one problem, scheme, number of steps per interval and of Newton steps per stage."""
+    """The counts belong to one problem, scheme, number of steps per interval and of Newton steps per stage."""
 
     kernels: StageKernels
     tableau: ButcherTableau
@@ -85,7 +85,7 @@ class ImplicitCounts:
 
     @property
     def newton_steps(self) -> OpCount:
-        """Count the Newton steps of a block after its bases."""
+        """Count the Newton steps of a block after the computation of its bases."""
         left = self.together * self.n
         evaluated = count_of(self.kernels.slope) * self.together + self.correct + OpCount(add=left, other=left)
         return (self.factorize + self.correct) * self.newton + evaluated
@@ -128,7 +128,7 @@ class ImplicitCounts:
         return found + self.solve(columns) + OpCount(add=s * n * columns)
 
     def all_columns(self, columns: int) -> OpCount:
-        """Count the derivatives of all stages of a step and of its end."""
+        """Count the derivatives of all stages of a step, and of the end of the step."""
         return sum((self.stage_columns(b, columns) for b in self.blocks), self.end(columns))
 
     def columns(self, columns: int) -> OpCount:

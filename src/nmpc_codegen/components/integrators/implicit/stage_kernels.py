@@ -22,7 +22,7 @@ Pattern = frozenset[tuple[int, int]]
 
 
 class StageKernels:
-    """The kernels of one problem, and the sparsity patterns of their results.
+    """Stages of one problem have these kernels, with the sparsity patterns of their results.
 
     If Newton's method solves for algebraic variables z, the point of a stage is (x, z), and their equations follow f.
     """

@@ -1,7 +1,7 @@
 """An implicit scheme is tried in NumPy at points of the problem, before any C is written.
 
-It takes the same Newton steps from the same start as templates/integrators/implicit, with f and its derivatives by
-CasADi.
+The trial takes the same Newton steps from the same start as templates/integrators/implicit; CasADi computes f and its
+derivatives.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ROUNDING = 1e-13
 
 
 class End(NamedTuple):
-    """The end of an interval, its derivatives S = d x_next / d(x, u), and the last corrections of its stages."""
+    """The end of an interval has derivatives S = d x_next / d(x, u) and the last corrections of the stages."""
 
     x: Array
     S: Array
@@ -28,7 +28,7 @@ class End(NamedTuple):
 
 
 class Trial:
-    """A scheme for one problem; ``size`` (nx,) holds scales of the states."""
+    """A trial runs a scheme on one problem; ``size`` (nx,) holds scales of the states."""
 
     def __init__(self, problem: Problem, size: Array, tableau: ButcherTableau) -> None:
         kernels = stage_kernels(problem)
