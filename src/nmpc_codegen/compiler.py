@@ -152,7 +152,7 @@ def export(
     Files that export() wrote and that have not been edited since are replaced; the checksum line at the end of a file
     identifies it. Exporting again is therefore safe, and several packages can share a folder; its main.c,
     CMakeLists.txt and README.md then belong to the last export. An edited main.c is kept, with a warning. Any other
-    file that is edited, read-only or of other origin is refused. Links, folders and devices in the place of a file are
+    file that is edited, read-only or of other origin is refused. Links, folders and devices with the name of a file are
     never replaced or followed; ``directory`` itself may be a link to a folder. If the disk is full, the folder stays
     unchanged.
 
@@ -165,8 +165,7 @@ def export(
             and precision, and main.c runs both.
         allow_foreign: True: code of another generator (OSQP) may be written, to a subfolder.
         force: True: also replace refused files, and keep copies (.bak).
-        dumps: number of samples that a further header, <name>_dumps.h, records in memory for replay(); None: do not
-            write this header, and remove one of an earlier export.
+        dumps: number of samples that a further header, <name>_dumps.h, records for replay(); None: no such header.
         more: function that is called with the files before any is written; it returns further files with their seals
             (package.seal), or raises an error to refuse all.
 

@@ -80,7 +80,7 @@ static inline void condense_enter(columns_t *p, const node_t *node, int k, int c
 }
 
 /* Computes a panel of G_k from its first node on: G_0 = [I 0], G_{k+1} = [A_k G_k, B_k at du_k]. The panel is zero at
- * the node before. */
+ * node k. */
 static void condense_propagate(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;

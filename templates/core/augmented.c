@@ -1,5 +1,5 @@
-/* Sets the added states in x_0. Added states follow the measured ones, from index NXHAT on, and depend on the node
- * before and the grid only; the struct names them. Their maps are exact, so that a plan has no gaps in them. */
+/* Sets the added states in x_0. Added states follow the measured ones, from index NXHAT on, and depend on the previous
+ * node and the grid only; the struct names them. Their maps are exact, so that a plan has no gaps in them. */
 static void take_augmented(const solver_t *s, real_t *x)
 {
     if (TIMED) {

@@ -103,7 +103,7 @@ status_t API(gradient_adjoint_matrices)(const data_t *d, linearization_t *m, rea
     return finite_or(&g[0][0], N * NU);
 }
 
-/* Algorithm 6.3 with products A_k' lam and B_k' lam in place of the matrices: the exact adjoint of the integrator. */
+/* Algorithm 6.3 with products A_k' lam and B_k' lam instead of the matrices: the exact adjoint of the integrator. */
 status_t API(gradient_adjoint)(const data_t *d, nodes_t *nodes, real_t g[N][NU])
 {
     real_t lam[NX], lam_x[NX], lam_u[NU];

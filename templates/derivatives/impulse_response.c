@@ -127,7 +127,7 @@ status_t API(impulse_response_adjoint_matrices)(
     return finite_or(&Xi[0][0][0], n_rows * N * NU);
 }
 
-/* Algorithm 6.6 with products lam A_k and lam B_k in place of the matrices. */
+/* Algorithm 6.6 with products lam A_k and lam B_k instead of the matrices. */
 status_t API(impulse_response_adjoint)(
     const data_t *d, const int *rows, int n_rows, nodes_t *nodes, real_t (*Xi)[N][NU])
 {

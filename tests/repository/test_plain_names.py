@@ -11,34 +11,10 @@ from tests.repository.test_architecture import SOURCE
 
 #: Participles that do not end in "ed".
 IRREGULAR = frozenset(
-    [
-        "built",
-        "chosen",
-        "done",
-        "drawn",
-        "found",
-        "given",
-        "gone",
-        "grown",
-        "held",
-        "kept",
-        "known",
-        "made",
-        "met",
-        "paid",
-        "said",
-        "seen",
-        "sent",
-        "shown",
-        "spelt",
-        "stuck",
-        "taken",
-        "told",
-        "torn",
-        "understood",
-        "worn",
-        "written",
-    ]
+    (
+        "built chosen done drawn found given gone grown held kept known made met paid said seen sent shown spelt "
+        "stuck taken told torn understood worn written"
+    ).split()
 )
 #: Words that end in "ed" and are no participles, or the object of a verb that stands before them.
 NO_PARTICIPLES = frozenset({"feed", "need", "seed", "speed", "red", "shed", "embed", "exceed", "proceed"})

@@ -214,7 +214,7 @@ def show(value: Any) -> str:
     short.maxstring = short.maxother = 120
     try:
         return short.repr(value)
-    except Exception:  # an integer of too many digits, or an object whose __repr__ raises
+    except Exception:  # an integer that is too long, or an object whose __repr__ raises
         return f"a value of type {type(value).__name__}"
 
 

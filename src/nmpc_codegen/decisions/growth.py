@@ -72,10 +72,10 @@ class Growth:
         return self.error(_intervals(problem, condensing)) <= AVOIDED[self.precision]
 
     def warning(self, problem: Problem, condensing: Condensing) -> tuple[str, ...]:
-        """Return a warning if a condensing component costs many digits.
+        """Return a warning if a condensing component loses much accuracy.
 
         Raises:
-            OptionError: the component costs too many digits.
+            OptionError: the component loses too much accuracy.
         """
         intervals = _intervals(problem, condensing)
         if self.error(intervals) > REFUSED:
@@ -101,7 +101,7 @@ class Growth:
         )
 
     def left_out(self, problem: Problem, candidates: Iterable[Condensing]) -> tuple[str, ...]:
-        """Return the reason for not choosing candidates that cost many digits; empty if there are none."""
+        """Return the reason for not choosing candidates that lose much accuracy; empty if there are none."""
         lossy = {c.name: _intervals(problem, c) for c in candidates if not self.spares(problem, c)}
         if not lossy:
             return ()
@@ -114,7 +114,7 @@ def _intervals(problem: Problem, condensing: Condensing) -> int:
 
 
 def _remedy(problem: Problem) -> str:
-    """Return the replacement for a condensing that costs digits."""
+    """Return the replacement for a condensing that loses accuracy."""
     if problem.uses <= NoCondensing.supports:
         return "condensing NoCondensing() (--set condensing=none) with a QP solver on stages"
     return "a shorter horizon, or a measured x_0 (without free_initial())"

@@ -60,7 +60,7 @@ def choose_qp(found: Choices) -> QpChoice:
     chosen, because it handles degenerate vertices best.
 
     Raises:
-        OptionError: the given components clash, or every condensing that fits loses too many digits.
+        OptionError: the given components clash, or every condensing that fits loses too much accuracy.
     """
     problem, options, grown = found.problem, found.options, found.grown
     given = options.condensing

@@ -30,10 +30,7 @@ def macros(model: DerivativeModel) -> tuple[Macro, ...]:
 
 
 def scheme_sizes(model: DerivativeModel) -> dict[str, int]:
-    """Return the C macros that only interval functions use: dimensions of the scheme, and flags of its stage kernels.
-
-    They are those of the scheme, and marks of the kernels of stages that exist.
-    """
+    """Return the C macros that only interval functions use: dimensions of the scheme, flags of its stage kernels."""
     if not calls_parts(model):
         return {}
     known = {routine.name for routine in model.routines}

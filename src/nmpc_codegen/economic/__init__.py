@@ -3,7 +3,7 @@
     steady_state(ocp)       the best steady state and its multipliers
     tune(ocp)               M of EconomicGaussNewton, by a semidefinite program
     tune_periodic(ocp)      the best periodic operation, and Hessians along it
-    lqr_terminal_cost(ocp)  the numbers behind ocp.lqr_terminal_cost()
+    lqr_terminal_cost(ocp)  the numbers of ocp.lqr_terminal_cost()
     letempc_cost, periodic_letempc, tracking_cost, rotate   companions: other costs of the same problem
     kkt_step, corrected_multipliers       one SQP step with any Hessian, also an indefinite one
 

@@ -4,9 +4,9 @@
     s.t. I <= alpha H_k + Hcal(dP_k, dP_k+1) + eta C_k'F_k C_k <= beta I,    I <= alpha H_f - dP - eta D'G D <= beta I
     Hcal(dP_k, dP_k+1) = [A'dP_k+1 A - dP_k, A'dP_k+1 B; B'dP_k+1 A, B'dP_k+1 B]
 
-over the intervals k of a period, dP_P = dP_0; the steady state is the period P = 1, and it alone may have an end. H is
-divided by its largest |eigenvalue| first, w by a scaling, rows of C and D by their norms; |.| is the largest spectral
-norm. In the units of the problem M = H + (Hcal + eta C'F C) / alpha and M_f = H_f - (dP + eta D'G D) / alpha.
+over the intervals k of a period, dP_P = dP_0; the steady state is the period P = 1, and only this period may have an
+end. H is divided by its largest |eigenvalue| first, w by a scaling, rows of C and D by their norms; |.| is the largest
+spectral norm. In the units of the problem M = H + (Hcal + eta C'F C) / alpha and M_f = H_f - (dP + eta D'G D) / alpha.
 
 Sources: Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section IV, called [Z20] here,
 whose equation (11) omits the division by alpha; Zanon, Gros and Diehl, "A periodic tracking MPC that is locally

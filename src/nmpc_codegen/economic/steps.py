@@ -163,7 +163,7 @@ def corrected_multipliers(tuning: Tuning, step: Step) -> Step:
 
     At the steady state both steps agree in dx, du, and so corrected also in the multipliers; further away the
     correction removes the part of the error that is linear in the step. The mu_k belong to the strictly active rows at
-    the nodes where the step has as many rows. Rows of states alone have no multiplier at node 0, where x_0 is given;
+    the nodes where the step has as many rows. Rows on states only have no multiplier at node 0, where x_0 is given;
     their term C'F C dw_0 / alpha is then subtracted from lam_0.
 
     Args:

@@ -4,7 +4,7 @@
     economic:  V_f = (lam_s - D' mu_s)' (x - x_s) + 1/2 (x - x_s)' P (x - x_s)
 
 D are the slopes of the strictly active rows that are also imposed at node N, and mu_s their multipliers: the problem
-itself states these rows at x_N, so the cost-to-go must not contain them. With lam_s alone they would have no multiplier
+itself states these rows at x_N, so the cost-to-go must not contain them. With only lam_s they would have no multiplier
 at x_N, and the plan could leave them there, away from the steady state.
 
 P solves the Riccati equation of the discrete map, which depends on the integrator; the OCP therefore only records the
@@ -81,7 +81,7 @@ class TerminalCost:
 def lqr_terminal_cost(
     ocp: OCP, options: Options | None = None, *, economic: bool = False, x: Any = None, u: Any = None
 ) -> TerminalCost:
-    """Compute the numbers behind ocp.lqr_terminal_cost().
+    """Compute the numbers of ocp.lqr_terminal_cost().
 
     Args:
         ocp: the problem.

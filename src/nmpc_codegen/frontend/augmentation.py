@@ -49,7 +49,7 @@ class Augmented:
     def put_in(self, expressions: list[Expression], x: Expression, u: Expression, p: Expression) -> list[Expression]:
         """Write the expressions in the symbols x, u, p of a stage; u is empty if they contain no control."""
         ends = u.numel() == 0
-        own, first = elements(p), self.np_own + len(self.added.held)  # marks of blocks have no symbol
+        own, first = elements(p), self.np_own + len(self.added.held)  # flags of blocks have no symbol
         data = [*own[: self.np_own], *self.same_length, *own[first:]]
         new = ca.vertcat(x, *([] if ends else [self.acting(x, u, p)]), *data)
         return [ca.densify(e) for e in ca.substitute(expressions, [self._symbols[ends]], [new])]

@@ -257,7 +257,7 @@ class Problem:
 
     @property
     def data_behind(self) -> int:
-        """Return how many numbers follow the user's parameters: lengths of intervals and the like, measurements."""
+        """Return the number of values after the user's parameters: data of blocks and intervals, measurements."""
         return self.augmentation.data + (0 if self.estimation is None else self.estimation.data)
 
     @property

@@ -134,7 +134,7 @@ def _without_influence(problem: CompleteProblem, x: Array, u: Array) -> Iterator
 
 
 def _is_probed(problem: Problem, x: Array, u: Array, j: int, saddles: Saddles) -> bool:
-    """Return True if a finite move of an idle control, alone or with its partner, changes a state that matters.
+    """Return True if a finite move of an idle control, or of it and its partner, changes a state that matters.
 
     A state matters if cost or rows depend on it at this point; then a probe of the sample moves the control.
     """

@@ -1,4 +1,4 @@
-"""Plans are drawn over a closed loop as a fan of predictions, and one plan alone."""
+"""Plans are drawn over a closed loop as a fan of predictions, and one plan by itself."""
 
 from __future__ import annotations
 

@@ -227,8 +227,8 @@ def _key(
 def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> str:
     """Return the version of the compiler, and its flags with those that it adds itself.
 
-    ``-###`` makes gcc and clang print the command that they would run: cc1 with all its flags. Any other compiler that
-    compiles an empty file is asked for its version and its predefined macros. ``path`` is only a key of lru_cache.
+    ``-###`` makes gcc and clang print the command that they would run: cc1 with all its flags. Of any other compiler
+    that compiles an empty file, the version and the predefined macros are read. ``path`` is only a key of lru_cache.
     """
     command = [*compiler, *flags, "-###", "-E", "-x", "c", os.devnull]
     result = ask(command)

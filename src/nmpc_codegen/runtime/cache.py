@@ -107,7 +107,7 @@ def _substitute(folder: Path, error: BaseException) -> None:
 
 @cache
 def temporary_directory() -> Path:
-    """Return a private folder that lives as long as the process that first asked for it.
+    """Return a private folder that lives as long as the process that first requested it.
 
     The process and its children hold a lock in the folder. If they are killed, the next process that calls this
     function removes it.

@@ -56,7 +56,7 @@ class CompiledPackage:
         try:
             dims = self.description.dims
             sizes = self.description.sizes
-            solved = sizes["NALG"] * (1 + sizes["NALG"])  # results of Newton's method, stored behind the parameters
+            solved = sizes["NALG"] * (1 + sizes["NALG"])  # results of Newton's method, stored after the parameters
             self.description.program.check([sizes["NX"], sizes["NU"], sizes["NP"] + solved], dims.nr, EDGES)
             layouts = {struct.name: self.description.dtype(struct.name) for struct in self.description.structs}
             for name, layout in layouts.items():

@@ -36,9 +36,9 @@ static real_t row_change(const solver_t *s, int m)
     return change;
 }
 
-/* Returns by how much the linearised row m violates its bounds after the step: positive beyond the upper bound, negative
- * beyond the lower one, 0 between them. A positive multiplier selects the upper bound and a negative one the lower bound:
- * then the value less that bound is returned, whatever its sign. */
+/* Returns by how much the linearised row m violates its bounds after the step: positive beyond the upper bound,
+ * negative beyond the lower one, 0 between them. A multiplier selects a bound, the upper one if it is positive and the
+ * lower one if it is negative; then the value less that bound is returned, whatever its sign. */
 static real_t row_excess(const solver_t *s, int m, real_t mult)
 {
     const real_t value = row_constant(s, m) + row_change(s, m);

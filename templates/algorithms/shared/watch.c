@@ -71,7 +71,7 @@ static void give_up(solver_t *s, status_t status)
             reset_search(s);
         }
     } else if (HAS_QP && (status == ITERATION_LIMIT || status == STALLED)) {
-        condense_init(s); /* the failure may come from its sample alone: the working set is discarded */
+        condense_init(s); /* only the sample may have caused the failure: the working set is discarded */
     }
 }
 #else

@@ -2,7 +2,7 @@
  * its increment D_i, bar_i to base_i, mu_i to f(X_i, u, p) and g; rho_i is the gradient of a cost of the
  * stage, and sums over stages of its own group run over i and j:
  *
- *     kappa_i = increment_b[i] lam + sum_{l behind the group} increment_a[l][i] bar_l
+ *     kappa_i = increment_b[i] lam + sum_{l after the group} increment_a[l][i] bar_l
  *     M' nu = (kappa_i + rho_x, rho_z),   mu_j = h sum_i a_ij nu_i, that of g is nu_j,
  *     bar_i = nu_i - kappa_i      (explicit: mu_i = h kappa_i, bar_i = f_x' mu_i + rho_x)
  *     g_u += f_u' mu_i + rho_u,   lam += sum_i bar_i */

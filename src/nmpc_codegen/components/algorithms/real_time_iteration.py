@@ -81,7 +81,7 @@ def shift_entry(shift: str | None) -> EntryPoint:
 MAX_TRIALS = 30
 FILTER = 16
 MAX_ATTEMPTS = 3
-# Shifts of an indefinite Hessian in solve(), each four times the one before, and bisections of the last interval.
+# Shifts of an indefinite Hessian in solve(), each four times the last one, and bisections of the last interval.
 MAX_SHIFTS = 24
 BISECTIONS = 3
 #: Largest number of departures of solve() from saddles without a better plan, and of iterations of one departure.

@@ -153,7 +153,7 @@ def _refuse_crossed(places: Sequence[_Place], what: str) -> None:
 def _sides(
     lower: Array, upper: Array, soft: Soft
 ) -> Iterator[tuple[tuple[Side, bool], list[int], Array, Array, Penalty]]:
-    """Yield ((side, alone), rows, lower, upper, penalty): statements of rows, by side if penalties differ.
+    """Yield ((side, `alone`), rows, lower, upper, penalty): statements of rows, by side if penalties differ.
 
     A side without a bound and without a penalty is left out.
     """

@@ -58,7 +58,7 @@ def write(
 
     The folder is created if needed. Files with the right content are not touched. An edited main.c, or one of other
     origin, is kept, with a warning. Any other file that was not generated, was edited or is read-only is an error; with
-    ``force`` such files are replaced, and copies of them are kept. Links, folders and devices in the place of a file
+    ``force`` such files are replaced, and copies of them are kept. Links, folders and devices with the name of a file
     are never replaced. Files of ``obsolete`` (relative path -> beginning) are removed if an export has written them and
     nobody has edited them since. Certificate and firmware of a package whose C is replaced by another package are
     removed as well.

@@ -1,9 +1,10 @@
-/* The kernel. The words of the structs are interleaved in memory, so that neighbouring threads read neighbouring words;
- * while a thread works, its struct is a local variable. It is one kernel, as each has its own copy of all functions. */
+/* The kernel interleaves the words of the structs in memory, so that neighbouring threads read neighbouring words;
+ * while a thread works, its struct is a local variable. There is one kernel for all operations, because each kernel
+ * would have its own copy of all functions. */
 
 #define WORDS (sizeof(PACKAGE(solver_t)) / sizeof(uint32_t))
 
-/* Copy a struct out of the interleaved ones. */
+/* Copies a struct out of the interleaved words. */
 TARGET static void batch_load(PACKAGE(solver_t) *s, const uint32_t *words, int64_t structs, int64_t i)
 {
     for (size_t w = 0; w < WORDS; w++) {
@@ -11,7 +12,7 @@ TARGET static void batch_load(PACKAGE(solver_t) *s, const uint32_t *words, int64
     }
 }
 
-/* Copy it back. */
+/* Copies a struct back to the interleaved words. */
 TARGET static void batch_store(const PACKAGE(solver_t) *s, uint32_t *words, int64_t structs, int64_t i)
 {
     for (size_t w = 0; w < WORDS; w++) {
@@ -19,7 +20,7 @@ TARGET static void batch_store(const PACKAGE(solver_t) *s, uint32_t *words, int6
     }
 }
 
-/* No clock: NaN. */
+/* Returns NaN, as there is no clock. */
 TARGET static double batch_now(void)
 {
     const uint64_t bits = (uint64_t)0x7FF8 << 48;
@@ -55,7 +56,7 @@ TARGET static void batch_call_algebraic(
 #endif
 }
 
-/* Hand rows to a setter. */
+/* Passes rows to a setter. */
 TARGET static int32_t batch_hand_over(const batch_data_t *d, void *data, const real_t *rows)
 {
     PACKAGE(solver_t) *s = (PACKAGE(solver_t) *)data;
@@ -83,7 +84,7 @@ TARGET static int32_t batch_hand_over(const batch_data_t *d, void *data, const r
     case BATCH_PARAMETER:
         return (int32_t)PACKAGE(set_parameter_range)(s, d->number, 0, d->nodes, rows);
 #elif HAS_SET_PARAMETER
-    case BATCH_PARAMETER: /* of the path, then of the end */
+    case BATCH_PARAMETER: /* of the path, then of node N */
         for (int32_t n = 0; n < d->nodes && !refused; n++) {
             refused = (int32_t)PACKAGE(set_parameter)(s, d->number, (n == 0) ? ALL : d->end, rows + n * d->width);
         }
@@ -98,7 +99,7 @@ TARGET static int32_t batch_hand_over(const batch_data_t *d, void *data, const r
 
 #include "flight.c"
 
-/* A call of one controller. */
+/* Runs a call of one controller. */
 TARGET static int32_t batch_on(const batch_launch_t *l, int64_t t, PACKAGE(solver_t) *s)
 {
     const real_t *first = (const real_t *)l->first + t * NX;
@@ -132,7 +133,7 @@ TARGET static int32_t batch_on(const batch_launch_t *l, int64_t t, PACKAGE(solve
     }
 }
 
-/* A flight. One controller, or one plant, for all of them is copied. */
+/* Runs a flight, on a copy if one controller, or one plant, serves all flights. */
 TARGET static int32_t batch_fly_there(const batch_launch_t *l, int64_t t, PACKAGE(solver_t) *s)
 {
     const batch_place_t *p = &l->flights.plant;
@@ -146,7 +147,7 @@ TARGET static int32_t batch_fly_there(const batch_launch_t *l, int64_t t, PACKAG
     return batch_fly_one(&l->flights, flight, t, s, &plant, rows);
 }
 
-/* What a thread does for its controller. */
+/* Runs the operation of a thread for its controller. */
 KERNEL batch_all(const batch_launch_t *l)
 {
     const int64_t t = THREAD;

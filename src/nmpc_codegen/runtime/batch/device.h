@@ -1,4 +1,4 @@
-/* Calls on a device: a thread is a controller. */
+/* Operations of a launch, in which each thread serves one controller. */
 
 /* begin declarations */
 typedef enum {
@@ -14,8 +14,8 @@ typedef enum {
     BATCH_ON_FLY /* the flights from .. from + threads - 1 */
 } batch_on_t;
 
-typedef struct { /* what one launch does */
-    int64_t threads; /* of them: controllers that are called, or flights */
+typedef struct { /* the arguments of one launch */
+    int64_t threads; /* number of controllers that are called, or of flights */
     int64_t structs;
     uint32_t *words; /* word w of struct i is words[w * structs + i] */
     const int64_t *index; /* (threads): numbers of the structs; NULL: all in order */

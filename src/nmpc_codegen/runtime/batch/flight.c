@@ -1,15 +1,15 @@
-/* One closed loop of a controller and its plant. Structs are opaque: call_step, call_integrate and hand_over call the
- * functions of their packages. */
+/* One closed loop connects a controller and its plant. Structs are opaque: call_step, call_integrate and hand_over call
+ * the functions of their packages. */
 
-/* The value of a flight at a sample; the last row holds from there on. */
+/* Returns the value of a flight at a sample; the last row holds for all later samples. */
 TARGET static real_t batch_value_at(const batch_column_t *c, int64_t flight, int64_t sample)
 {
     const int64_t row = (sample < c->rows) ? sample : c->rows - 1;
     return ((const real_t *)((const char *)c->values + flight * c->flight_step))[row];
 }
 
-/* Rows as they are stored, with the values of a sample in the columns that have some. A row takes the values of the
- * sample at the time of its node. Of bounds, the lower ones of all nodes come first. */
+/* Copies the stored rows, with the values of a sample in the columns that have some. A row takes the values of the
+ * sample at the time of its node. For bounds, the lower ones of all nodes come first. */
 TARGET static void batch_gather(const batch_data_t *d, const char *s, int64_t flight, int64_t k, real_t *rows)
 {
     const int bounds = d->setter == BATCH_BOUNDS;
@@ -24,7 +24,8 @@ TARGET static void batch_gather(const batch_data_t *d, const char *s, int64_t fl
     }
 }
 
-/* Set the data of sample k; those that hold in all samples, before the first one, unless others set them, too. */
+/* Sets the data of sample k. Data that hold in all samples are set before the first one, unless others set them,
+ * too. */
 TARGET static int32_t batch_tell(
     const batch_flights_t *f, const batch_place_t *place, void *s, int64_t flight, int64_t k, real_t *rows)
 {
@@ -45,7 +46,7 @@ TARGET static int32_t batch_tell(
     return 0;
 }
 
-/* Move the plant by a sample. Returns 0 if its state is not finite. */
+/* Moves the plant by a sample. Returns 0 if its state is not finite. */
 TARGET static int batch_move(const batch_flights_t *f, const void *plant, const real_t *u, double *x)
 {
     int finite = 1;
@@ -63,7 +64,7 @@ TARGET static int batch_move(const batch_flights_t *f, const void *plant, const 
     return finite;
 }
 
-/* Algebraic variables at a sample. */
+/* Computes the algebraic variables at a sample. */
 TARGET static void batch_evaluate_algebraic(
     const batch_flights_t *f, void *s, const double *x, const real_t *u, double *z)
 {
@@ -77,7 +78,7 @@ TARGET static void batch_evaluate_algebraic(
     }
 }
 
-/* Add what disturbs the state after sample k of a flight. */
+/* Adds the disturbances to the state after sample k of a flight. */
 TARGET static void batch_disturb(const batch_flights_t *f, int64_t flight, int64_t k, double *x)
 {
     if (f->disturbance.size != NULL) {
@@ -95,7 +96,7 @@ TARGET static void batch_disturb(const batch_flights_t *f, int64_t flight, int64
     }
 }
 
-/* The state as the controller is told it. */
+/* Computes the state that the controller receives. */
 TARGET static void batch_measure(const batch_flights_t *f, int64_t flight, int64_t k, const double *x, real_t *xhat)
 {
     double noise[NX];
@@ -110,7 +111,7 @@ TARGET static void batch_measure(const batch_flights_t *f, int64_t flight, int64
     }
 }
 
-/* Set the data of sample k of a flight: those of its controller, then those of a plant of its own. */
+/* Sets the data of sample k of a flight: those of its controller, then those of a separate plant. */
 TARGET static int32_t batch_tell_both(
     const batch_flights_t *f, int64_t flight, int64_t k, void *s, void *plant, real_t *rows)
 {
@@ -118,8 +119,8 @@ TARGET static int32_t batch_tell_both(
     return (refused || plant == s) ? refused : batch_tell(f, &f->plant, plant, flight, k, rows);
 }
 
-/* Fly sample k of a flight, which writes in place at of the arrays; xhat: what the controller is told. Returns 0, or
- * the status of a setter that has refused data. */
+/* Runs sample k of a flight, which writes to index `at` of the arrays; xhat: the state that the controller receives.
+ * Returns 0, or the status of a setter that has refused data. */
 TARGET static int32_t batch_fly_one_sample(
     const batch_flights_t *f, int64_t flight, int64_t at, int64_t k, void *s, void *plant, real_t *rows, real_t *xhat)
 {
@@ -160,8 +161,8 @@ TARGET static int32_t batch_fly_one_sample(
     return 0;
 }
 
-/* Fly a flight, which writes in place at of the arrays. Returns 0, the status of a setter that has refused data, or -1
- * if it was stopped. A flight ends where its state is not finite; the rest of its samples stays as it is. */
+/* Runs a flight, which writes to index `at` of the arrays. Returns 0, the status of a setter that has refused data, or
+ * -1 if it was stopped. A flight ends where its state is not finite; its further samples stay as they are. */
 TARGET static int32_t batch_fly_one(
     const batch_flights_t *f, int64_t flight, int64_t at, void *s, void *plant, real_t *rows)
 {

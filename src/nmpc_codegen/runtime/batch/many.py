@@ -3,7 +3,7 @@
     many = batch(ocp, 4096)
     u, status = many.step(X)       # X (M, nx) -> u (M, nu), status (M,)
 
-Each controller computes the same bits as alone, whatever the number of threads.
+Each controller computes the same bits as a single one, whatever the number of threads.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-/* Calls of functions of the packages by their addresses, and threads that share them. */
+/* Functions of the packages are called by their addresses, and threads share the calls. */
 
 #define ALIGNED(bytes) (((bytes) + 63) / 64 * 64)
 
-#ifdef __TINYC__ /* has no atomic operations: every thread keeps to its own share */
+#ifdef __TINYC__ /* it has no atomic operations: every thread keeps to its own share */
 #define SHARES(threads) 1
 #define CLAIM(next, chunk) ((*(next) += (chunk)) - (chunk))
 #else
@@ -23,7 +23,7 @@ typedef int (*set_three_t)(void *s, int a, int b, int c, const real_t *v);
 typedef int (*set_pair_t)(void *s, int a, int b, real_t v, real_t w);
 typedef int (*set_pairs_t)(void *s, int a, int b, int c, const real_t *v, const real_t *w);
 
-/* Seconds of a clock that only goes forward. */
+/* Returns the seconds of a monotonic clock. */
 static double batch_now(void)
 {
     struct timespec t;
@@ -47,7 +47,7 @@ static void batch_call_algebraic(const batch_flights_t *f, void *s, const real_t
     (void)((algebraic_t)f->algebraic)(s, 0, x, u, z); /* NaN where there is no solution */
 }
 
-/* Hand rows to a setter. */
+/* Passes rows to a setter. */
 static int32_t batch_hand_over(const batch_data_t *d, void *s, const real_t *rows)
 {
     int refused = 0;
@@ -66,7 +66,7 @@ static int32_t batch_hand_over(const batch_data_t *d, void *s, const real_t *row
     if (d->set_range != NULL) {
         return ((set_three_t)d->set_range)(s, d->number, 0, d->nodes, rows);
     }
-    for (int32_t n = 0; n < d->nodes && !refused; n++) { /* of the path, then of the end */
+    for (int32_t n = 0; n < d->nodes && !refused; n++) { /* of the path, then of node N */
         refused = ((set_two_t)d->set)(s, d->number, (n == 0) ? ALL : d->end, rows + n * d->width);
     }
     return refused;
@@ -76,7 +76,7 @@ static int32_t batch_hand_over(const batch_data_t *d, void *s, const real_t *row
 
 #include "flight.c"
 
-/* A copy of the struct of a flight. */
+/* Copies the struct of a flight, and returns the copy. */
 static void *batch_copy_of(const batch_place_t *place, int64_t flight, char *copy)
 {
     return memcpy(copy, place->memory + flight * place->stride, (size_t)place->size);
@@ -114,7 +114,7 @@ void batch_draw(
     }
 }
 
-/* The call of controller number i of those that are called. */
+/* Runs call number i. */
 static int batch_call_one(const batch_call_t *c, int64_t i)
 {
     void *s = c->memory + ((c->index == NULL) ? i : c->index[i]) * c->stride;

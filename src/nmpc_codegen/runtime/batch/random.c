@@ -1,11 +1,11 @@
-/* Counter-based random numbers: those of a sample are a function of seed, flight, sample and signal alone, so that any
- * number of threads, and any machine with the arithmetic of IEEE 754, draws the same bits.
+/* Random numbers are counter-based: those of a sample are a function of seed, flight, sample and signal only, so that
+ * any number of threads, and any machine with the arithmetic of IEEE 754, draws the same bits.
  *
  * Philox4x32-10: Salmon, Moraes, Dror and Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011. Normal numbers
- * by the inverse of their distribution: Wichura, "Algorithm AS 241", Applied Statistics 37 (1988). Sums are explicit
- * fma(), which compilers may neither split nor contract. */
+ * follow by the inverse of their distribution: Wichura, "Algorithm AS 241", Applied Statistics 37 (1988). Sums are
+ * explicit fma(), which compilers may neither split nor contract. */
 
-/* Four words from a counter of four and a key of two. */
+/* Computes four words from a counter of four words and a key of two. */
 TARGET static void batch_philox(uint32_t c[4], uint32_t k0, uint32_t k1)
 {
     for (int round = 0; round < 10; round++) {
@@ -20,7 +20,7 @@ TARGET static void batch_philox(uint32_t c[4], uint32_t k0, uint32_t k1)
     }
 }
 
-/* (m + 1/2) 2^-52 with the 52 leading bits m of two words: inside (0, 1), without rounding. */
+/* Returns (m + 1/2) 2^-52 with the 52 leading bits m of two words: inside (0, 1), without rounding. */
 TARGET static double batch_unit(uint32_t high, uint32_t low)
 {
     const uint64_t m = ((uint64_t)(high >> 6) << 26) | (low >> 6);
@@ -37,7 +37,7 @@ TARGET static double batch_polynomial(const double *c, int n, double x)
     return sum;
 }
 
-/* Logarithm of a positive normal number: e log(2) + 2 artanh(s) with x = 2^e m, s = (m - 1) / (m + 1). */
+/* Returns the logarithm of a positive normal number: e log(2) + 2 artanh(s) with x = 2^e m, s = (m - 1) / (m + 1). */
 TARGET static double batch_logarithm(double x)
 {
     const double odd[12] = { 1.0, 1.0 / 3.0, 1.0 / 5.0, 1.0 / 7.0, 1.0 / 9.0, 1.0 / 11.0, 1.0 / 13.0, 1.0 / 15.0,
@@ -53,7 +53,7 @@ TARGET static double batch_logarithm(double x)
     return fma((double)e, 0.6931471805599453, 2.0 * s * batch_polynomial(odd, 12, s * s));
 }
 
-/* z with P(Z <= z) = p of a standard normal Z. */
+/* Returns z with P(Z <= z) = p of a standard normal Z. */
 TARGET static double batch_normal(double p)
 {
     const double a[8] = { 3.3871328727963666080, 133.14166789178437745, 1971.5909503065514427, 13731.693765509461125,
@@ -81,7 +81,7 @@ TARGET static double batch_normal(double p)
     return (q < 0.0) ? -z : z;
 }
 
-/* The n numbers of a sample of a flight. */
+/* Draws the n numbers of a sample of a flight. */
 TARGET static void batch_draw_sample(
     const batch_random_t *r, uint64_t seed, int64_t flight, int64_t k, int n, double *out)
 {

@@ -78,7 +78,7 @@ def append_solved(described: PackageDescription, p: Array, z: Array) -> Array:
 
 
 def plan_data(ctrl: Memory) -> Array:
-    """Return the numbers that expressions at all nodes read in place of p."""
+    """Return the numbers that expressions at all nodes use for p."""
     return append_solved(ctrl.description, whole_parameters(ctrl), ctrl.z)
 
 

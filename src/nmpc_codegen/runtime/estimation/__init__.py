@@ -1,1 +1,1 @@
-"""Estimators run in Python, alone or in a closed loop."""
+"""Estimators run in Python, separately or in a closed loop."""

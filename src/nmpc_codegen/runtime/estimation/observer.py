@@ -88,7 +88,7 @@ class Observer(Setters):
 
         Args:
             y: as in step(); entries that are not missing replace the measurements of that sample.
-            node: sample of the measurements, counted from the present one: 0, -1 for the one before, ...; it must be
+            node: sample of the measurements, counted from the present one: 0, -1 for the last one, ...; it must be
                 inside the window.
             on_failure: as in step().
 

@@ -62,7 +62,7 @@ class Layout:
 
 
 def _places(ctrl: Controller) -> dict[str, tuple[int, int]]:
-    """Return the first byte of every member of the solver struct, and the byte behind it."""
+    """Return the first byte of every member of the solver struct, and the byte after it."""
     fields: Any = ctrl._struct.dtype.fields
     return {name: (entry[1], entry[1] + entry[0].itemsize) for name, entry in fields.items()}
 
@@ -247,7 +247,7 @@ class Recorder:
 
     @property
     def late(self) -> int:
-        """Return the number of samples that began more than 1.5 ``dt`` after the sample before."""
+        """Return the number of samples that began more than 1.5 ``dt`` after the previous sample."""
         return self._counts.late
 
     @property

@@ -94,7 +94,7 @@ class Writer:
         self._file.close()
 
     def _add(self) -> None:
-        """Write the samples that are in the ring as a part, behind the last complete one."""
+        """Write the samples that are in the ring as a part, after the last complete part."""
         ring, last = self._ring, self._ring.head
         if last == ring.tail:
             return

@@ -24,7 +24,7 @@ NANOSECONDS = {
 }
 #: Unit in which times are shown -> nanoseconds.
 SHOWN = {"h": 3600e9, "min": 60e9, "s": 1e9, "ms": 1e6, "µs": 1e3, "ns": 1.0}
-LATE = 1.5  # periods after the sample before, from which a sample counts as late
+LATE = 1.5  # periods after the previous sample, from which a sample counts as late
 
 
 def nanoseconds(log: Record, dt: float | None) -> float | None:
