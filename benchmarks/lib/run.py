@@ -21,7 +21,7 @@ class RefusedError(Exception):
 
 @dataclass(frozen=True)
 class Run:
-    """``scale``: fraction of the counts, 0: one of each; ``seed``: selects the draws.
+    """A run takes the fraction ``scale`` of the counts, 0: one of each; ``seed`` selects the draws.
 
     ``pictures``: folder of pictures; ``base_programs``: closed loops of the base commit, which run in turn with ours.
     """

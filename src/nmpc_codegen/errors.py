@@ -21,7 +21,7 @@ __all__ = [
 
 
 class NmpcError(Exception):
-    """The base class of all errors of this package; the message names what is wrong and what was expected."""
+    """All errors of this package have this base class; the message names what is wrong and what was expected."""
 
 
 class ProblemError(NmpcError, ValueError):

@@ -34,7 +34,7 @@ NATIVE = "native"
 
 @dataclass(frozen=True)
 class Board:
-    """An emulated board.
+    """A board is emulated.
 
     unit: precision of the floating-point unit of its core (None: none); start: start-up code in templates/firmware;
     instructions_per_tick: emulated instructions per tick of its clock; the others describe its memory.

@@ -1,4 +1,4 @@
-"""Tables 6.3 and 6.4 in numbers: the operations of every method for four problems.
+"""Tables 6.3 and 6.4 give the operations of every method for four problems.
 
 They include the operations of Algorithm 6.7 where a method needs it.
 """

@@ -1,4 +1,4 @@
-"""Contracts of samples: results can be used, whatever data a controller or an estimator receives."""
+"""The contracts of samples state that results can be used, whatever data a controller or an estimator receives."""
 
 from __future__ import annotations
 

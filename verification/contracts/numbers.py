@@ -1,4 +1,4 @@
-"""Contracts of numbers: derivatives, stated operations, and agreement between the two precisions."""
+"""The contracts of numbers concern derivatives, stated operations, and agreement between the two precisions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contracts of plans in operation: their phases, and the use of a solution in the next sample."""
+"""The contracts of plans in operation concern their phases, and the use of a solution in the next sample."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contracts of plans: results of solve(), and residuals and cost of any plan, against IPOPT and numpy."""
+"""The contracts of plans compare solve(), and residuals and cost of any plan, with IPOPT and numpy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contracts of the text of a package: comments describe only what is there, and functions fit a screen.
+"""The contracts of a package's text state that comments describe only what is there, and functions fit a screen.
 
 The text also compiles without a warning and needs nothing but math.h.
 """

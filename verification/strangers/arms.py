@@ -1,4 +1,4 @@
-"""Strangers: swing-ups, arms, a suspended ball."""
+"""These strangers are swing-ups, arms, and a suspended ball."""
 
 from __future__ import annotations
 

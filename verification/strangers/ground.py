@@ -1,4 +1,4 @@
-"""Strangers: vehicles among obstacles, ships, trailers."""
+"""These strangers are vehicles among obstacles, ships, and trailers."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ SAME = 1e-6  # of the cost, relative to 1 + its magnitude
 
 @dataclass(frozen=True)
 class LinearCase:
-    """``data``: parameters (N + 1,) at sample k; ``optimum``: cost of the plan from a state at sample k."""
+    """A case has ``data``, parameters (N + 1,) at sample k, and ``optimum``, the cost of a plan from a state there."""
 
     name: str
     start: float

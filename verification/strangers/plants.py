@@ -1,4 +1,4 @@
-"""Strangers: reactors, tanks, epidemics, ecology."""
+"""These strangers are reactors, tanks, epidemics, and ecology."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Strangers: tariffs, converters, reservoirs."""
+"""These strangers are tariffs, converters, and reservoirs."""
 
 from __future__ import annotations
 

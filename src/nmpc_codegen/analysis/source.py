@@ -33,7 +33,7 @@ MATH: Mapping[str, int] = {"sqrt": 1, "exp": 1, "log": 1, "fabs": 1, "ceil": 1, 
 
 
 class Type(NamedTuple):
-    """The type of an expression: "real", "int" or the name of another type, below ``depth`` pointers or arrays."""
+    """The type of an expression is "real", "int" or the name of another type, below ``depth`` pointers or arrays."""
 
     base: str
     depth: int = 0
@@ -197,7 +197,7 @@ class Callee:
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """The known facts of a translation unit.
+    """A unit holds the known facts of a translation unit.
 
     counts: functions with known operations; sizes: integer constants; tables: entries of constant integer tables;
     ranges: values that integer members can have; members: types of the members of all structs.

@@ -25,7 +25,7 @@ from nmpc_codegen.targets import TARGETS, Target
 
 
 class Firmware:
-    """The flags of an export for a target; ``hook`` as a part of the export makes a delivery."""
+    """The flags of an export are those for a target; ``hook`` as a part of the export makes a delivery."""
 
     def __init__(self, arguments: argparse.Namespace, printer: Printer) -> None:
         self._printer, self._dumps = printer, arguments.dumps

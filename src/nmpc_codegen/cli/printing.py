@@ -30,7 +30,10 @@ class ReaderLeftError(Exception):
 
 
 class Printer:
-    """Prints output and errors; unencodable characters are escaped, and markup in names is not interpreted."""
+    """A printer prints output and errors.
+
+    Unencodable characters are escaped, and markup in names is not interpreted.
+    """
 
     def __init__(self, output: TextIO, errors: TextIO) -> None:
         self._begin = time.monotonic()

@@ -19,7 +19,7 @@ MODULE = "nmpc_problem"
 
 
 class FoundProblem(NamedTuple):
-    """The statement of a file: the problem, its options, and further objects.
+    """A problem file states a problem, its options, and further objects.
 
     These are the outputs of --derivatives, an estimator or None, and arguments of campaign().
     """

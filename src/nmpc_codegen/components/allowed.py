@@ -24,7 +24,7 @@ _KEY = "allowed"
 
 
 class Rule(Protocol):
-    """A rule for the values of an option; its text completes "expected ..."."""
+    """A rule tests the values of an option; its text completes "expected ..."."""
 
     def convert(self, value: Any) -> Any:
         """Return the object for a word, and any other value unchanged."""

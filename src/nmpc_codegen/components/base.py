@@ -81,7 +81,7 @@ Core = Literal["nodes", "multipliers", "products", "kkt", "directions"]
 
 @dataclass(frozen=True)
 class Dims:
-    """The sizes that components share; each is a Size whose text is a macro of the package (without prefix)."""
+    """Components share these sizes; each is a Size whose text is a macro of the package (without prefix)."""
 
     N: Size
     nx: Size
@@ -133,7 +133,7 @@ class Dims:
 
 @dataclass(frozen=True)
 class QpDims:
-    """The sizes of the QP that condensing forms."""
+    """The QP that condensing forms has these sizes."""
 
     nvu: Size  # controls that are variables of the QP
     nv: Size  # variables of the QP
@@ -144,7 +144,7 @@ class QpDims:
 
 @dataclass(frozen=True)
 class QpShape:
-    """The sizes of the QP that a condensing component forms.
+    """The QP that a condensing component forms has this shape.
 
     Its ``variables`` are ``controls`` and those that the component adds, of which ``slacks`` are slack variables.
     """
@@ -307,7 +307,7 @@ class Integrator(Component, Protocol):
 
 
 class Hessian(Component, Protocol):
-    """Provides the Hessian block of every node."""
+    """A Hessian provides the Hessian block of every node."""
 
     seam: ClassVar[Seam] = "hessian"
 

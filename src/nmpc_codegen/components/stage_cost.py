@@ -21,7 +21,7 @@ from nmpc_codegen.ir.sweep import Slice
 
 @dataclass(frozen=True, eq=False)
 class StageCost:
-    """Symbols and expressions of one stage; z = (x, u).
+    """The cost of one stage has symbols and expressions; z = (x, u).
 
     ``inputs`` and ``ports`` are x, u, p, dt, and only x, p at the start and terminal stages; ``data_ports`` are yref,
     W. ``weight`` is the matrix with the entries W; rows and columns of residuals with scale_with_dt are scaled by dt.
@@ -179,7 +179,7 @@ def stage_cost(stage: Stage, name: str, reduce: Reduce = lambda expression, orde
 
 @dataclass(frozen=True, eq=False)
 class StageCosts:
-    """The costs of all stages of a problem."""
+    """The costs of all stages of a problem are collected."""
 
     start: StageCost
     path: StageCost

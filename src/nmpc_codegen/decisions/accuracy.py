@@ -56,7 +56,7 @@ def _inner_points(problem: Problem, x: Array, u: Array) -> Array:
 
 
 class Flow:
-    """The model over the longest interval from these points; ``scale`` (nx,) holds scales of the states."""
+    """The flow is the model over the longest interval from these points; ``scale`` (nx,) holds scales of the states."""
 
     def __init__(self, problem: Problem, scale: Array, fine: int = FINE) -> None:
         stage, found = problem.path, list(starts(problem))

@@ -21,7 +21,7 @@ from nmpc_codegen.options import Online
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """The functions of the stages.
+    """The functions of the stages have been made for counts.
 
     costs: expressions of the stages; interval: the dynamics; blocks: the Hessian of samples; products: products with
     the stage matrices.

@@ -32,7 +32,7 @@ NEAR, VAIN, MOST_STARTS = 1.25, 3, 32
 
 
 class Trials:
-    """The trials of one problem."""
+    """Integration schemes are tried on one problem."""
 
     def __init__(self, problem: Problem, sizes: Scales) -> None:
         self.problem, self.dt, self.size = problem, max(problem.dt), sizes.z[: problem.nx]

@@ -32,7 +32,7 @@ MOST_ENTRIES = 2**31 - 1
 
 @dataclass(frozen=True, eq=False)
 class DerivativeModel:
-    """The functions of one problem and its outputs.
+    """A derivative model has the functions of one problem and its outputs.
 
     linearize: (x, u, p, dt) -> x_next, S = [A B]; products: see IntervalProducts; path, terminal: cost and gradient.
     output: (x, u, p) -> z, and output_jacobian G = [C D], row by row; both None without outputs. hessians: {sweep: (x,

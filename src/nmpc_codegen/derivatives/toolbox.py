@@ -35,7 +35,7 @@ BY_ROWS = ("adjoint", "adjoint_matrices")
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The result of a simulation.
+    """A trajectory is the result of a simulation.
 
     Attributes:
         x: (N + 1, nx), states.
@@ -49,7 +49,7 @@ class Trajectory:
 
 
 class Derivatives:
-    """Derivatives of J and z with respect to the controls u_0, ..., u_{N-1} of a single-shooting problem.
+    """The object computes derivatives of J and z with respect to the controls u_0, ..., u_{N-1}.
 
     The arrays are views that may be changed; arrays that the problem lacks do not exist. Only one thread at a time may
     use an object.

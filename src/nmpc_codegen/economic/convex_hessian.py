@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """The result of tune(), in the units and the order of the problem; rows and columns of cyclic states are zero.
+    """A tuning is the result of tune(), in the units and order of the problem.
+
+    Cyclic states have zero rows and columns.
 
     Attributes:
         problem: the problem.

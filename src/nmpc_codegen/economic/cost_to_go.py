@@ -38,7 +38,7 @@ class CostToGo:
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """The problem in reduced coordinates: x = T xi, u = Kc xi + N v, xi+ = A xi + B v, cost 1/2 (xi, v)' H (xi, v)."""
+    """The reduced problem is x = T xi, u = Kc xi + N v, xi+ = A xi + B v, with cost 1/2 (xi, v)' H (xi, v)."""
 
     T: Array
     Kc: Array

@@ -38,7 +38,7 @@ ADMISSIBLE, INFINITE = 1e-8, 1e8
 
 @dataclass(frozen=True, eq=False)
 class Orbit:
-    """A periodic solution: w (P, nx + nu), lam (P, nx) at the start of each interval, mu of its rows, active rows.
+    """An orbit has w (P, nx + nu), lam (P, nx) at the start of each interval, mu of its rows, and active rows.
 
     ``size`` (nx + nu,) holds typical magnitudes of w.
     """
@@ -88,7 +88,7 @@ def _least(program: _Program, w: Array) -> Orbit:
 
 
 class _Program:
-    """The nonlinear program of the orbit in the variables w_0, ..., w_{P-1}, in units."""
+    """The nonlinear program of the orbit has the variables w_0, ..., w_{P-1}, in units."""
 
     def __init__(self, stages: Sequence[SteadyStage], name: str) -> None:
         self.stages, self.name, self.n, self.nz = stages, name, stages[0].nx, int(stages[0].w.numel())

@@ -35,7 +35,7 @@ from nmpc_codegen.options import Options
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PeriodicTuning:
-    """An orbit of P intervals and its Hessians, in the units of the problem.
+    """A periodic tuning has an orbit of P intervals and its Hessians, in the units of the problem.
 
     Attributes:
         problem: the problem.

@@ -35,7 +35,7 @@ SLACK, ROUNDING = 1e-3, 1e-12
 
 @dataclass(frozen=True)
 class Weights:
-    """The weights of the program: eta is 1 if strictly active rows may be used, else 0.
+    """The program has weights: eta is 1 if strictly active rows may be used, else 0.
 
     Rho1, rho2 >= 0 penalise F and G.
     """
@@ -55,7 +55,7 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class ConvexityProof:
-    """A solution in the units of the problem.
+    """The proof is a solution in the units of the problem.
 
     ``beta`` bounds the condition number in the scaling in which the solution was found.
     """
@@ -127,7 +127,7 @@ def convexify_period(period: Sequence[LinearQuadratic], weights: Weights, scalin
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """A conversion of solutions to the units of the problem; ``unit`` = 1 / alpha."""
+    """Solutions are converted to the units of the problem; ``unit`` = 1 / alpha."""
 
     d: Array
     unit: float

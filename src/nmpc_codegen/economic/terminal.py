@@ -47,7 +47,7 @@ SEMIDEFINITE = -1e-12  # least eigenvalue of a weight, relative to the largest
 
 @dataclass(frozen=True, eq=False)
 class TerminalCost:
-    """The numbers of a cost-to-go.
+    """A terminal cost has the numbers of a cost-to-go.
 
     Attributes:
         P: (nx, nx), with zero rows for cyclic states.

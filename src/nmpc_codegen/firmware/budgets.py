@@ -21,7 +21,7 @@ OPERATIONS = {"": 1, "k": 10**3, "m": 10**6}
 
 @dataclass(frozen=True)
 class Budgets:
-    """Largest sizes in bytes, and the largest worst case of a sample in operations; None: no limit.
+    """Budgets limit sizes in bytes, and the worst case of a sample in operations; None: no limit.
 
     ``ram`` limits the solver struct, ``flash`` code and constants of the package, ``stack`` the stack of every entry
     point with its library functions.

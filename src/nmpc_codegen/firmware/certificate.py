@@ -35,7 +35,7 @@ _COMPILER = re.compile(r"__aeabi_\w+$|mem(?:cpy|set|move|cmp)$|__\w+[sdt][if]\d*
 
 @dataclass(frozen=True)
 class Certificate:
-    """Properties of a package on a target; sizes are in bytes.
+    """A certificate states properties of a package on a target; sizes are in bytes.
 
     ``stack_bytes`` holds the worst case of every entry point, libraries included.
     """

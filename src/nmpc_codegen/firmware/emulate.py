@@ -28,7 +28,7 @@ OTHERS = ("step", "cost", "integrate", "shift", "kkt", "reset", "solve", "covari
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Controls and statuses of the target as a process, to be compared with portable C on the host."""
+    """The target as a process returns controls and statuses, to be compared with portable C on the host."""
 
     against: ClassVar[str] = "portable C on the host"
 

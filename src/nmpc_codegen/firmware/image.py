@@ -20,7 +20,7 @@ ELF = "image.elf"
 
 @dataclass(frozen=True)
 class Image:
-    """A linked program in a folder."""
+    """An image is a linked program in a folder."""
 
     folder: Path
     target: Target

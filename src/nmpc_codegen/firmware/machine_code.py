@@ -16,7 +16,7 @@ _PLACE = re.compile(r"\b([0-9a-f]+) <([^>+]+)")
 
 
 class MachineCode(Protocol):
-    """The instruction set of a family of processors."""
+    """A family of processors shares an instruction set."""
 
     def operands(self, text: str) -> str:
         """Return the operands without the comment of the disassembler."""
@@ -39,7 +39,7 @@ class MachineCode(Protocol):
 
 
 class Arm:
-    """The instruction sets ARM and Thumb."""
+    """The instruction sets are ARM and Thumb."""
 
     _PUSHES = re.compile(r"\{([^}]*)\}")
     _IMMEDIATE = re.compile(r"#(\d+)")
@@ -92,7 +92,7 @@ class Arm:
 
 
 class RiscV:
-    """The instruction set RISC-V.
+    """The instruction set is RISC-V.
 
     Functions __riscv_save_<n> of libgcc return with a lower stack pointer, so that calls of them count as decrements.
     """

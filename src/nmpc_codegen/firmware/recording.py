@@ -65,7 +65,10 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Samples of a closed loop with inputs and the host's outputs; ``u_range`` (nu,) is the range of every control."""
+    """A recording has the inputs and the host's outputs of a closed loop.
+
+    ``u_range`` (nu,) is the range of every control.
+    """
 
     description: PackageDescription
     x: Array  # (samples, nx)

@@ -55,7 +55,7 @@ _NAMED: tuple[Kind, ...] = ("state", "control", "parameter", "algebraic")
 
 
 class OCP(Constraints):
-    """An optimal control problem over N intervals.
+    """An OCP is an optimal control problem over N intervals.
 
         min   sum_{k<N} l_k(x_k, u_k, p_k) + l_N(x_N, p_N)
         s.t.  x_0 = xhat

@@ -41,7 +41,7 @@ class Element:
 
 @dataclass(frozen=True, eq=False)
 class ResidualTerm:
-    """The cost 1/2 (y - reference)' weight (y - reference) at node 0, at every path node, or at the terminal node."""
+    """The term 1/2 (y - reference)' weight (y - reference) is imposed at node 0, at every path node, or at node N."""
 
     y: Any
     names: tuple[str, ...]
@@ -54,7 +54,7 @@ class ResidualTerm:
 
 @dataclass(frozen=True, eq=False)
 class GeneralCost:
-    """A scalar cost at node 0, at every path node, integrated along every interval, or at the terminal node."""
+    """The term is a scalar cost at node 0, at every path node, along every interval, or at the terminal node."""
 
     expression: Any
     integrate: bool

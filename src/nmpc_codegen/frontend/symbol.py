@@ -34,7 +34,7 @@ class Comparison(ca.SX):
 
 
 class Symbol(ca.SX):
-    """The SX symbol of a declared signal. It hashes by identity, so that vectors can be keys of a dictionary too.
+    """A symbol is the SX symbol of a declared signal, and hashes by identity, so that vectors can be keys, too.
 
     A dictionary compares keys only if their hashes are equal, so it never compares two symbols symbolically.
     Expressions formed from a Symbol are plain SX.

@@ -56,7 +56,7 @@ class Enum:
 
 @dataclass(frozen=True)
 class Table:
-    """A ``static const`` array in the .c; ``ctype`` is "real" or "int"."""
+    """A table is a ``static const`` array in the .c; ``ctype`` is "real" or "int"."""
 
     name: str
     ctype: str

@@ -250,7 +250,7 @@ class Kernel:
 
 
 class _HasKernels(Protocol):
-    """A routine, straight-line or with loops."""
+    """A routine is straight-line or has loops."""
 
     @property
     def kernels(self) -> tuple[Kernel, ...]: ...
@@ -269,7 +269,7 @@ def called_lookups(routines: Iterable[_HasKernels]) -> list[Lookup]:
 
 
 class _ValueNumbering:
-    """Gives equal expressions the same number; commutative operands are sorted first."""
+    """Equal expressions get the same number; commutative operands are sorted first."""
 
     def __init__(self) -> None:
         self.instructions: list[Instruction] = []

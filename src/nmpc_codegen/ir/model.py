@@ -67,7 +67,7 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class StageModel:
-    """Cost and rows of a stage: l, g = dl / dz, h and dh / dz, and the Hessian block if there is a Hessian.
+    """A stage has cost and rows: l, g = dl / dz, h and dh / dz, and the Hessian block if there is a Hessian.
 
     ``integrated`` is True if the cost contains an integral over the interval. ``product`` computes w = H d, with the
     Hessian H of a general cost and the Gauss-Newton Hessian of least squares.

@@ -143,7 +143,7 @@ def _total(terms: list[Expression]) -> Expression:
 
 
 class Loops:
-    """The products as dense loops over S, and over tables of the nonzeros of Q and Q_N."""
+    """The products are dense loops over S, and loops over tables of the nonzeros of Q and Q_N."""
 
     def __init__(self, nx: int, nu: int, Q: Pattern, Q_N: Pattern, banded: int = 0) -> None:
         self.of = of = Interfaces(nx, nu)

@@ -20,7 +20,7 @@ from nmpc_codegen.package.opcount import OpCount
 
 @dataclass(frozen=True)
 class Affine:
-    """The value constant + sum of coefficient * loop index."""
+    """An affine index is constant + sum of coefficient * loop index."""
 
     constant: int = 0
     terms: tuple[tuple[str, int], ...] = ()
@@ -50,7 +50,7 @@ class Affine:
 
 @dataclass(frozen=True)
 class Slice:
-    """``size`` elements of a buffer from an affine offset, ``stride`` apart."""
+    """A slice has ``size`` elements of a buffer from an affine offset, ``stride`` apart."""
 
     buffer: str
     size: int

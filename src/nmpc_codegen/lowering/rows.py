@@ -26,7 +26,7 @@ WIDTH = 112
 
 @dataclass(frozen=True)
 class RowTable:
-    """The columns in which rows differ, with lines of C text for some rows each."""
+    """A row table has the columns in which rows differ, with lines of C text for some rows each."""
 
     columns: tuple[str, ...]
     meaning: str

@@ -57,7 +57,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class ReferenceSolution(Point):
-    """A solution from IPOPT."""
+    """A reference solution comes from IPOPT."""
 
     cost: float
     success: bool
@@ -73,7 +73,7 @@ _AT_ROUND_OFF = frozenset({"Search_Direction_Becomes_Too_Small", "Solved_To_Acce
 
 
 class Reference:
-    """The nonlinear program of a problem, built once and solved for any data.
+    """A reference is the nonlinear program of a problem, built once and solved for any data.
 
     Args:
         problem: the problem.
@@ -280,7 +280,7 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class _Symbols:
-    """The data as symbols of the nonlinear program."""
+    """The data are symbols of the nonlinear program."""
 
     x0: Any
     p: list[Any]

@@ -61,7 +61,7 @@ class Data:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Primal and dual variables; x (N+1, nx), u (N, nu)."""
+    """A point has primal and dual variables; x (N+1, nx), u (N, nu)."""
 
     x: Array
     u: Array
@@ -75,7 +75,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Residuals:
-    """The KKT residuals in the maximum norm."""
+    """The KKT residuals are given in the maximum norm."""
 
     stationarity: float
     equality: float

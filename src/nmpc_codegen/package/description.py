@@ -46,7 +46,7 @@ DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
 @dataclass(frozen=True)
 class Dimensions:
-    """The sizes of a controller, in the notation of the project."""
+    """The sizes of a controller have the notation of the project."""
 
     N: int
     nx: int

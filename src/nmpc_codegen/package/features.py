@@ -53,7 +53,7 @@ KERNELS: tuple[KernelName, ...] = get_args(KernelName)
 
 @dataclass(frozen=True)
 class Features:
-    """The features of a package; 0 or False: the package lacks the feature."""
+    """A package has features; 0 or False: the package lacks the feature."""
 
     kernels: frozenset[KernelName] = frozenset()
 

@@ -10,7 +10,7 @@ EstimatorKind = Literal["mhe", "ekf"]
 
 @dataclass(frozen=True)
 class Kind:
-    """The words and templates of a kind of package.
+    """A kind of package has its own words and templates.
 
     noun, words: name of the kind; law: its function of a whole sample; opened: the kind, and the function that opens
     it; main, usage: templates of main.c and of the section on usage in README.md.

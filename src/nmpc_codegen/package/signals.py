@@ -107,7 +107,7 @@ NOT_AUGMENTED = Augmentation()
 
 @dataclass(frozen=True)
 class Soft:
-    """Penalties of a soft row, by side: a violation v >= 0 costs l1 v + l2/2 v^2.
+    """A soft row has penalties, by side: a violation v >= 0 costs l1 v + l2/2 v^2.
 
     Args:
         lower: (l1, l2) below the lower bound, or l1. With an infinite l1 the side is hard now and may become soft at

@@ -67,7 +67,7 @@ def _class_of(animation: Any) -> Any:
     """Return the class of an animation that a notebook plays."""
 
     class Film(animation.FuncAnimation):  # type: ignore[misc]
-        """An animation of matplotlib."""
+        """A film is an animation of matplotlib."""
 
         def _repr_html_(self) -> str:
             return str(self.to_jshtml())

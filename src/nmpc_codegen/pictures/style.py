@@ -68,7 +68,7 @@ def _figure_class() -> Any:
     """Return a figure that a notebook shows once in a cell: as its value or, as pyplot does, at its end."""
 
     class Figure(extra("matplotlib.figure", "plot()").Figure):  # type: ignore[misc]
-        """A figure of pyplot."""
+        """A figure belongs to pyplot."""
 
         _shown = False
 

@@ -133,7 +133,7 @@ class Solution:
 
 @dataclass
 class _Run:
-    """The log of the iterations so far, and their time."""
+    """A run has the log of the iterations so far, and their time."""
 
     log: list[Iteration]
     time_ns: int = 0

@@ -163,7 +163,7 @@ def _check_folder(conduct: Terms) -> None:
 
 
 class _Course:
-    """The flights of the candidates: rounds use the seed of the user, the verdict the next seed."""
+    """A course flies the candidates: rounds use the seed of the user, the verdict the next seed."""
 
     def __init__(self, ocp: OCP, wish: Wish, conduct: Terms) -> None:
         self._ocp, self._wish, self._conduct = ocp, wish, conduct

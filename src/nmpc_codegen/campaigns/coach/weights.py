@@ -156,7 +156,7 @@ def _declared_weights(ocp: OCP, ranges: Mapping[tuple[str, str], tuple[float, fl
 
 
 class _Course:
-    """The flights for sets of weights."""
+    """A course flies sets of weights."""
 
     def __init__(self, controller: Controller, ocp: OCP, wish: Wish, cost: Cost) -> None:
         self._controller, self._cost, self._plant = controller, cost, plant_of(wish)

@@ -28,7 +28,7 @@ HEAD = "campaign.json"
 
 
 class Archive:
-    """The folder of a campaign; only one process at a time can open it."""
+    """An archive is the folder of a campaign; only one process at a time can open it."""
 
     def __init__(self, folder: str | os.PathLike[str], labels: Labels, identity: Mapping[str, Any]) -> None:
         self.folder, self._labels = Path(folder), labels

@@ -77,7 +77,7 @@ class Job:
 
 
 class Flyer:
-    """Flies parts of a job with ``threads`` threads; None: with one for each core."""
+    """A flyer flies parts of a job with ``threads`` threads; None: with one for each core."""
 
     def __init__(self, job: Job, threads: int | None) -> None:
         self._job, self._labels = job, job.labels

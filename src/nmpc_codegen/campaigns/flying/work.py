@@ -32,7 +32,7 @@ LOOK = 0.2
 
 @dataclass(frozen=True)
 class FlightPart:
-    """The flights first .. first + count - 1."""
+    """A part has the flights first .. first + count - 1."""
 
     first: int
     count: int
@@ -87,7 +87,7 @@ def _fly_here(job: Job, parts: _Parts) -> Iterator[Flown]:
 
 
 class _Elsewhere:
-    """Flies the parts by the workers of an executor, each with one thread at a time."""
+    """The workers of an executor fly the parts, each with one thread at a time."""
 
     def __init__(self, job: Job, parts: _Parts, executor: Any) -> None:
         if not callable(getattr(executor, "submit", None)):

@@ -32,7 +32,7 @@ DRAWN, DRAWN_LOST = 300, 100
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """The flights of a campaign and their verdicts; print(result) prints a summary.
+    """A campaign has flights and their verdicts; print(result) prints a summary.
 
     Attributes:
         job: controller, plant and statement of the flights.

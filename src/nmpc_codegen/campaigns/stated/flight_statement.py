@@ -260,7 +260,7 @@ def _length_of_set(flights: int, sets: int) -> int:
 
 
 class _Reader:
-    """Sorts the named values into random variables, tables for all flights, and tables for each flight."""
+    """A reader sorts the named values into random variables, tables for all flights, and tables for each flight."""
 
     def __init__(self, controller: Controller, plant: Controller | None, flights: int, steps: int) -> None:
         self._controller, self._plant, self._flights, self._steps = controller, plant, flights, steps

@@ -82,7 +82,7 @@ PROXIMAL = 0.3
 
 @dataclass(frozen=True)
 class AugmentedLagrangian(Algorithm):
-    """Newton iterations on the augmented Lagrangian, without a QP.
+    """Newton iterations minimise the augmented Lagrangian, without a QP.
 
     Variables are scaled by their declared initial values or bounds, rows by their declared magnitudes. The status is OK
     if the plan is near the model; it need not be optimal yet. A sample is NOT_CONVERGED if stats.residual, its largest

@@ -34,7 +34,7 @@ from nmpc_codegen.package.struct_layout import Field, Struct
 
 @dataclass(frozen=True)
 class EconomicGaussNewton(Hessian):
-    """Constant Hessian M of every stage and M_f of the terminal node, for any cost.
+    """The Hessian is a constant M at every stage and M_f at the terminal node, for any cost.
 
     Args:
         M: (nx + nu, nx + nu), order z = (x, u), symmetric positive semidefinite, with a positive definite block of the

@@ -63,7 +63,7 @@ _SWEEPS: dict[str, Symmetric | ForwardOverAdjoint] = {cls.scheme: cls() for cls 
 
 @dataclass(frozen=True)
 class ExactHessian(Hessian):
-    """Exact second derivatives of the Lagrangian, for any cost.
+    """The Hessian consists of exact second derivatives of the Lagrangian, for any cost.
 
     Args:
         regularization: change of the Hessian where the QP would not be convex; None: no change.

@@ -37,7 +37,7 @@ class EigenvalueFloor:
 
 @dataclass(frozen=True)
 class Project(EigenvalueFloor):
-    """Raises eigenvalues below the floor to the floor.
+    """The regularisation raises eigenvalues below the floor to the floor.
 
     Args:
         level: as in Mirror.
@@ -48,7 +48,9 @@ class Project(EigenvalueFloor):
 
 @dataclass(frozen=True)
 class Mirror(EigenvalueFloor):
-    """Changes the sign of negative eigenvalues, and raises small ones to the floor; it is the default.
+    """The regularisation changes the sign of negative eigenvalues, and raises small ones to the floor.
+
+    It is the default.
 
     Args:
         level: "reduced" changes the Hessian on the predicted working set, and only if it is not positive definite;

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Osqp(QpSolver):
-    """OSQP, as the osqp package generates it for the condensed QP; it is an oracle for build() only.
+    """The osqp package generates a solver of the condensed QP, which is an oracle for build() only.
 
     Args:
         max_iterations: largest number of its iterations.

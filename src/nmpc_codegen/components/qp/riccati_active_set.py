@@ -77,7 +77,7 @@ def _schur_struct(dims: Dims) -> Struct:
 
 @dataclass(frozen=True)
 class RiccatiActiveSet(QpSolver):
-    """An active-set solver of a QP on stages, accurate to rounding; time and memory are linear in N.
+    """An active-set method solves the QP on stages, accurate to rounding; time and memory are linear in N.
 
     Args:
         max_iterations: largest number of working sets that are tried in one feedback phase; None: 30.

@@ -35,7 +35,7 @@ NO_BOUND = 1e10
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Sizes of a problem.
+    """The scales are the sizes of a problem.
 
     z: (nx + nu,), scales of states and controls. rows: (rows,), sizes of the terms of a row without its constant part,
     which is in offsets (rows,) and belongs to its bounds. cost: C, the largest cost of a residual or general cost of

@@ -31,7 +31,7 @@ _LONGEST = 24
 
 @dataclass(frozen=True)
 class LocalNames:
-    """The user's signals, element by element, as identifiers of C; constants must not have names in ``reserved``."""
+    """The user's signals are identifiers of C, element by element; constants must not have names in ``reserved``."""
 
     states: tuple[str, ...] = ()
     controls: tuple[str, ...] = ()

@@ -33,7 +33,7 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class StageLoop:
-    """A loop over pieces."""
+    """A stage loop runs over pieces."""
 
     loop: For
     pieces: tuple[Piece | StageLoop, ...]

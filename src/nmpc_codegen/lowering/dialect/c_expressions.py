@@ -55,7 +55,7 @@ def expression(text: str) -> Expression:
 
 
 class _Parser:
-    """A parser by precedence climbing; ``word`` is the current token, "" at the end."""
+    """The parser climbs precedences; ``word`` is the current token, "" at the end."""
 
     def __init__(self, text: str) -> None:
         self.text, self.end = text, 0

@@ -76,7 +76,7 @@ def parse(text: str) -> tuple[Node, ...]:
 
 
 class _Parser:
-    """A parser of tokens: brackets, semicolons, comments, directives and words that begin a statement."""
+    """The parser reads tokens: brackets, semicolons, comments, directives and words that begin a statement."""
 
     def __init__(self, text: str) -> None:
         self.text, self.place = text, 0

@@ -31,7 +31,7 @@ _TABLE = re.compile(r"(\w+)(?:\[[^\]]*\])*(?:\)\([^)]*\))?$")
 
 @dataclass(frozen=True)
 class Item:
-    """A piece of a unit.
+    """An item is a piece of a unit.
 
     Attributes:
         name: the name that it defines, if it is a single one; API(f) for a function f of the interface.

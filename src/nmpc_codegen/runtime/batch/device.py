@@ -122,7 +122,7 @@ def check_package(package: CompiledPackage) -> None:
 
 
 class DeviceBatch(Batch):
-    """A Batch whose structs stay on a device.
+    """A device batch is a Batch whose structs stay on a device.
 
     Calls take NumPy arrays, or device arrays by DLPack, and return device arrays. x, u, ... are copies on the device:
     assign to the attribute to change them. Setters copy the structs to the host and back; simulate() writes its tables

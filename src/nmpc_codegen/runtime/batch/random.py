@@ -21,7 +21,7 @@ DISTURBANCE, NOISE, START = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """A signal of independent normal numbers with mean 0, drawn in every sample.
+    """The signal consists of independent normal numbers with mean 0, drawn in every sample.
 
     Args:
         std: standard deviations of the states, (nx,), one number for all, or {name of a state: number}; 0 for states
@@ -33,7 +33,7 @@ class Normal:
 
 @dataclass(frozen=True, eq=False)
 class Uniform:
-    """A signal of independent uniform numbers between -half_width and half_width, drawn in every sample.
+    """The signal consists of independent uniform numbers between -half_width and half_width, drawn in every sample.
 
     Args:
         half_width: half widths of the states, (nx,), one number for all, or {name of a state: number}; 0 for states not

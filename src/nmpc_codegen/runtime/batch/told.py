@@ -27,7 +27,7 @@ Array = NDArray[Any]
 
 
 class Told(Telling):
-    """A setter of data for the controllers of a batch with the numbers ``index``; None: for all."""
+    """The setters apply to the controllers of a batch with the numbers ``index``; None: to all."""
 
     def __init__(self, batch: Structs, index: ArrayLike | None) -> None:
         super().__init__(batch._package, batch._struct)

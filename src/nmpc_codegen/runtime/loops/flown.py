@@ -29,7 +29,7 @@ class Labels:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """The results of F flights.
+    """The arrays hold the results of F flights.
 
     Attributes:
         labels: names of the columns.

@@ -46,7 +46,7 @@ def judge_paths(loop: Loop, paths: tuple[Array, Array, Array]) -> tuple[Array, A
 
 
 class _Result:
-    """The arrays that blocks of flights fill."""
+    """Blocks of flights fill these arrays."""
 
     def __init__(self, loop: Loop, record: bool) -> None:
         self._loop = loop

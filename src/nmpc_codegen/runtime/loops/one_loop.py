@@ -123,7 +123,7 @@ class _Flight:
 
 
 class _Compiled(_Flight):
-    """A loop in compiled code, as in a flight of a batch."""
+    """The loop runs in compiled code, as in a flight of a batch."""
 
     def take(self, k: int) -> None:
         self._seconds[:] = 0.0

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A plan over its nodes.
+    """A plan is drawn or tabulated over its nodes.
 
     ``h`` holds general rows, NaN where one does not hold; ``y`` references of the residuals in ``references`` over the
     intervals; ``lower`` and ``upper`` bounds of the rows in ``limits``, NaN where they do not hold.

@@ -38,7 +38,7 @@ PADDING = 8  # largest number of bytes between two members of a struct
 
 
 class Layout:
-    """The layout of a recorded sample: stamps, measured state, control, and members of the solver struct.
+    """A recorded sample has stamps, measured state, control, and members of the solver struct.
 
     ``plan`` and ``rest`` are ranges (first, last) of bytes of the struct: the iterate; settings and results.
     """
@@ -149,7 +149,7 @@ def make_room(ring: stream.Ring, writer: stream.Writer, began: int, deadline: fl
 
 
 class Recorder:
-    """A recorder of the samples of a controller: ``with Recorder(controller, file="run.rec") as r: u = r.step(x)``.
+    """A recorder keeps the samples of a controller: ``with Recorder(controller, file="run.rec") as r: u = r.step(x)``.
 
     Set data and read the plan at the controller itself. A sample takes about two microseconds longer. A thread writes
     to the file four times a second, so that a killed program loses less than a second. If the disk is too slow for

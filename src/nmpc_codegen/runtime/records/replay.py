@@ -29,7 +29,7 @@ NOT_ENDED, NOT_READ = -1, -2
 
 @dataclass(frozen=True, eq=False)
 class ReplayedSample:
-    """A sample of a dump, and the result of taking it again.
+    """A replayed sample has the recorded and the repeated result.
 
     Attributes:
         number: number of the sample since init().
@@ -93,7 +93,7 @@ class ReplayedSample:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replay:
-    """The samples of a dump, the oldest one first.
+    """A replay has the samples of a dump, the oldest one first.
 
     Attributes:
         name: name of the package.

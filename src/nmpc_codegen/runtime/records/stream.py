@@ -34,7 +34,7 @@ PERIOD = 0.25
 
 
 class Ring:
-    """Memory for ``slots`` samples of ``size`` bytes.
+    """The ring is memory for ``slots`` samples of ``size`` bytes.
 
     ``head`` is the number of samples so far, ``tail`` the number of those that are written.
     """

@@ -31,7 +31,7 @@ def with_unit(name: str, unit: str) -> str:
 
 @dataclass(frozen=True)
 class Trace:
-    """A quantity of a log.
+    """A trace is a quantity of a log.
 
     Attributes:
         name: name of the quantity.
@@ -59,7 +59,7 @@ def traces_of(described: PackageDescription) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Limit:
-    """A row that bounds a column of a log.
+    """A limit is a row that bounds a column of a log.
 
     Attributes:
         name: name of the row.
@@ -80,7 +80,7 @@ class Limit:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plans:
-    """The plans of n samples in a log, with the rows of the problem along each.
+    """A log has the plans of n samples, with the rows of the problem along each.
 
     Attributes:
         sample: (n,), numbers of the samples.
@@ -122,7 +122,7 @@ class Plans:
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """The results of an estimator in a loop, one entry per sample.
+    """An estimator in a loop has these results, one entry per sample.
 
     Attributes:
         x: (steps, nx + unknown parameters), estimates of the states, then of the parameters.

@@ -19,7 +19,10 @@ from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, add_notes
 
 
 class AdjointSweep(Builder):
-    """Forward mode over the adjoint of an interval; ThreeSweeps gives the same result with less memory."""
+    """The sweep applies forward mode to the adjoint of an interval.
+
+    ThreeSweeps gives the same result with less memory.
+    """
 
     def body(self) -> list[Node]:
         """Return all nodes, which compute x_next and S from x, u, p, dt, lam and add to g and Q."""

@@ -29,7 +29,7 @@ Local = tuple[str, int]
 
 
 class Builder:
-    """Slices and leaves that both schemes share."""
+    """The builder has the slices and leaves that both schemes share."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int) -> None:
         self.d = d = IntervalDerivatives(problem)

@@ -63,7 +63,7 @@ def algebraic_kernel(problem: Problem) -> Kernel | None:
 
 
 class _Completion:
-    """Completes the routines of one problem."""
+    """The completion adds z and W to the routines of one problem."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.kernels = problem, stage_kernels(problem)
