@@ -1,8 +1,8 @@
 """The command writes tables: python -m benchmarks.strangers [--table FILE] [--remedies FILE] [--choices FILE].
 
 ``--table``, ``--remedies`` and ``--choices`` replace tables of a Markdown file (docs/strangers.md): the loops with and
-without iterations and relaxation, the effects of advice, the coach's choices. The figures are topics of python -m
-benchmarks.
+without iterations and relaxation, the effects of advice, the options that campaign() chooses. The figures are topics of
+python -m benchmarks.
 """
 
 from __future__ import annotations

@@ -28,12 +28,12 @@ FINE = 20
 
 @dataclass(frozen=True)
 class Plant:
-    """A plant is a model with its measurements, its motion, and the belief about its start.
+    """A plant is a model with its measurements, its motion, and the initial guess of an estimator.
 
-    ``make``: the OCP and the statement of its estimator; ``truth``, ``guess`` (nx,): true and believed initial states,
-    ``spread`` (nx,) of the true one; ``doubt`` (nx,): declared
-    standard deviations of the guess; ``controls``: k -> (nu,); ``scale`` (nx,): errors that count as 1; ``low``,
-    ``high`` (nx,): limits of the states of the plant; ``silent``: samples without measurements.
+    ``make``: the OCP and the statement of its estimator; ``truth``, ``guess`` (nx,): true initial state and initial
+    guess, ``spread`` (nx,): standard deviations of the true one; ``doubt`` (nx,): declared standard deviations of the
+    guess; ``controls``: k -> (nu,); ``scale`` (nx,): errors that count as 1; ``low``, ``high`` (nx,): limits of the
+    states of the plant; ``silent``: samples without measurements.
     """
 
     make: Callable[[], tuple[OCP, Mapping[str, Any]]]
@@ -190,7 +190,7 @@ def run(plant: Plant, rng: np.random.Generator, missing: float = 0.0, outliers: 
 
 
 class Model:
-    """The model, measurements and noise of a plant as they are stated."""
+    """The model has the measurements and the noise of a plant in CasADi."""
 
     def __init__(self, plant: Plant) -> None:
         ocp, statement = plant.make()

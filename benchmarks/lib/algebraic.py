@@ -65,7 +65,7 @@ def _drift(report: Report, samples: int) -> None:
 
 
 def battery_by_hand() -> OCP:
-    """State the battery with the smaller solution of its quadratic equation as current."""
+    """Return the OCP of the battery, whose current is the smaller solution of a quadratic equation."""
     ocp = OCP("battery", T=20.0, N=20, time_unit="min")
     q, vp = ocp.state("q", initial=0.8), ocp.state("vp", unit="V")
     T, P = ocp.state("T", initial=30.0, unit="degC"), ocp.control("P", unit="kW")
@@ -83,7 +83,7 @@ def battery_by_hand() -> OCP:
 
 
 def crane_by_hand() -> OCP:
-    """State the crane with its tension eliminated.
+    """Return the OCP of the crane with its tension eliminated.
 
     (r'r / load + r_x^2 / cart) tension equals the other terms of the length equation.
     """

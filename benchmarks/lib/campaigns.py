@@ -1,4 +1,4 @@
-"""Campaigns are measured: flights per second, losses with their intervals, replays, memory, the coach's choices."""
+"""Campaigns are measured: flights per second, losses with their intervals, replays, memory, chosen options."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def fly_million(flights: int) -> tuple[float, float]:
 
 
 def table(names: Sequence[str] = ()) -> str:
-    """Return the coach's choices for every stranger in Markdown, compared with the default on fresh flights."""
+    """Return a Markdown table that compares the options chosen by campaign() with the defaults, on new flights."""
     lines = ["| stranger | default lost | choice | lost | cost | time | why |", "|---|---:|---|---:|---:|---:|---|"]
     for s in STRANGERS:
         if names and s.name not in names:

@@ -43,7 +43,7 @@ class Samples:
 
 
 def reactor() -> OCP:
-    """State the bioreactor with soft periodicity."""
+    """Return the OCP of the bioreactor with soft periodicity."""
     return bioreactor.build_ocp(soft=True)
 
 

@@ -33,7 +33,7 @@ PAPER = (
     'Houska, Ferreau and Diehl, "An auto-generated real-time iteration algorithm for nonlinear MPC in the microsecond '
     'range", Automatica 47 (2011)'
 )
-#: Least number of working-set changes for which a price per change is fitted.
+#: Least number of working-set changes for which operations per change are fitted.
 FEW = 5
 DENSE = Options(condensing=FullCondensing(), qp=DenseActiveSet())
 #: Options of the reactor, whose samples are shorter than its intervals.

@@ -90,7 +90,7 @@ X0, SPAN = np.array([2.0, 0.0, 0.0, 0.0]), 9.0
 
 
 def problem() -> OCP:
-    """State the crane with terminal weights."""
+    """Return the OCP of the crane with terminal weights."""
     return crane.build_ocp(terminal_constraint=False)
 
 

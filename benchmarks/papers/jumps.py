@@ -12,7 +12,7 @@ from nmpc_codegen import Options, build
 from verification.robustness.work import Loop, Recorded, count
 from verification.scenarios import FIGURE_6
 
-#: Least number of samples of a set point, and samples after a jump over which a price per change is fitted.
+#: LEAST: number of samples per set point above which a loop is counted with optimisation. AFTER: samples of the fit.
 LEAST = AFTER = 20
 
 

@@ -1,7 +1,7 @@
 """Schemes of economic NMPC are generated controllers with closed loops.
 
 A scheme has a cost (economic, LETEMPC, tracking) and a Hessian; it takes one step per sample, or iterates to
-convergence. All have the constraints, the plant (the model) and the first plan (the best steady state) in common.
+convergence. All have the constraints, the plant (the model) and the first plan (the optimal steady state) in common.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def subject(name: str) -> Subject:
 
 
 def process(t: Tuning, scheme: Scheme) -> OCP:
-    """State the evaporation process with the cost of the scheme."""
+    """Return the OCP of the evaporation process with the cost of the scheme."""
     if scheme.cost == "economic":
         return evaporation.build_ocp()
     ocp = evaporation.process(t.problem.N, economic=False)
@@ -121,7 +121,7 @@ def process(t: Tuning, scheme: Scheme) -> OCP:
 
 
 def car(t: Tuning, scheme: Scheme) -> OCP:
-    """State the car with the cost of the scheme.
+    """Return the OCP of the car with the cost of the scheme.
 
     The middle of the lane is a parameter, so that moves can be foreseen.
     """
@@ -170,7 +170,7 @@ class Loop:
     drift: tuple[float, ...] | float = 0.0
 
     def start(self, c: Controller) -> None:
-        """Set the first plan to the best steady state, with the drift of cyclic states."""
+        """Set the first plan to the optimal steady state, with the drift of cyclic states."""
         t, steps = subject(self.name).tuning, np.arange(len(c.x))[:, None]
         c.x[...], c.u[...] = t.x_s + steps * np.asarray(self.drift), t.u_s
 

@@ -33,7 +33,10 @@ BUFFERS = {"tsp": ("Xs", "kappa", "Z", "Sx", "H"), "foa": ("Xs", "Zs", "Sx", "ad
 
 
 def dense(nz: int) -> Problem:
-    """State nz - 1 states and one control with nonzero derivatives; one Euler step is one recursion z+ = phi(z)."""
+    """Return a problem with nz - 1 states and one control, in which every derivative depends on all of them.
+
+    One Euler step is one recursion z+ = phi(z).
+    """
     ocp = OCP("dense", T=1.0, N=1)
     x, u = ocp.state("x", size=nz - 1), ocp.control("u")
     M = np.random.default_rng(nz).uniform(0.1, 1, (nz - 1, nz))

@@ -193,7 +193,7 @@ def periodic(run: Run) -> Exhibit:
 
 
 def wanted_speed(_: Run) -> Exhibit:
-    """Compute the gain per metre that makes a wanted speed the best steady one."""
+    """Compute the weight alpha of the speed for which a given speed is the optimal steady state."""
     rows, worst = [], 0.0
     for kmh in (30.0, 50.0, 80.0, 120.0):
         alpha = driving.gain(kmh / 3.6)

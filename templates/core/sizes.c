@@ -1,7 +1,7 @@
-/* Contract of this part: scales, and tolerances relative to scales. The scales of states, controls and rows, of the
- * cost and of its gradient follow from declared data, never from the data of a sample, because in a plant at rest the
- * data may be rounding errors. A magnitude is at least its scale, and a residual near the rounding error of its scale
- * counts as zero, even if its terms are smaller. */
+/* This part defines scales, and tolerances relative to scales. The scales of states, controls and rows, of the cost and
+ * of its gradient follow from declared data, never from the data of a sample, because in a plant at rest the data may
+ * be rounding errors. A magnitude is at least its scale, and a residual near the rounding error of its scale counts as
+ * zero, even if its terms are smaller. */
 
 /* Returns the number of components of (x, u) at node k. */
 static inline int nz_at(int k)
@@ -37,8 +37,8 @@ static inline real_t least_cost(void)
     return TOL_ZERO * TOL_ZERO * cost_size[0];
 }
 
-/* Raises the units of variables that have more curvature beside the diagonal of Q, a lower triangle of n rows with ld
- * numbers each, than on it. */
+/* Raises the units of variables i and j where |Q_ij| > sqrt(unit_i unit_j), both by the ratio of the two. Q: the lower
+ * triangle of n rows with ld entries each. */
 static void extend_units(const real_t *Q, int ld, int n, real_t *unit)
 {
     for (int i = 0; i < n; i++) {

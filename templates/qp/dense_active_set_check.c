@@ -1,4 +1,4 @@
-/* Contract of this part: the optimality conditions of an answer, recomputed from the data, and iterative refinement. */
+/* This part computes the optimality conditions of an answer from the original data, and refines the answer. */
 
 /* y += c a and size += m |a|, n entries. */
 static inline void add_multiple(real_t *y, real_t *size, const real_t *a, real_t c, real_t m, int n)

@@ -1,5 +1,5 @@
-/* Contract of this part: elastic rows. A finite penalty[c] >= 0 replaces row c by the cost penalty[c] (violation of the
- * row), so that |mult| <= penalty. A row whose multiplier is at the limit is saturated (side +-2) and may be violated;
+/* This part treats elastic rows. A finite penalty[c] >= 0 replaces row c by the cost penalty[c] (violation of the row),
+ * so that |mult| <= penalty. A row whose multiplier is at the limit is saturated (side +-2) and may be violated;
  * `relaxed` is the number of violated ones. Without crossed bounds and hard rows the result is never INFEASIBLE. A
  * saturated row belongs to the cost: y0 = -C^{-1} (g + sum_saturated mult_c a_c). The multipliers of the dual problem
  * are then between 0 and the penalty, and every step increases its objective as before. */

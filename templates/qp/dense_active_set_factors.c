@@ -1,4 +1,4 @@
-/* Contract of this part: H = L D L' = C C' and the substitutions with its factors. */
+/* This part factorises H = L D L' = C C' and substitutes with the factors. */
 
 /* Returns the fraction of the diagonal entry below which a pivot may be zero. */
 static inline real_t qp_zero_pivot(void)

@@ -1,4 +1,4 @@
-/* Contract of this part: dual iterations from a predicted working set to the solution or a certificate. */
+/* Dual iterations lead from a predicted working set to the solution, or to a certificate of infeasibility. */
 
 /* Returns the member with the largest violation of the sign condition, lam outside [0, limit] (equality: [-limit,
  * limit]) by more than rounding, excess |m| > tolerance (|y0| + |y|); -1 if there is none. */

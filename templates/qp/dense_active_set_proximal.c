@@ -1,5 +1,4 @@
-/* Contract of this part: proximal point iterations around the dual iterations, for a Hessian that is only
- * semidefinite. */
+/* Proximal point iterations call the dual iterations if the Hessian is only semidefinite. */
 
 /* u = C's, C' = D^{1/2} L'. */
 static void qp_to_working_coordinates(const qp_t *q, const real_t *s, real_t *u)

@@ -1,7 +1,7 @@
-/* Contract of this part: rows with a slack variable. Such a row is lower <= a'z - sigma <= upper with the cost
- * curvature / 2 sigma^2, and its slack has the elastic bound sigma = 0. H and A have no entries for slacks. As long as
- * the multiplier of the row is below the penalty, its slack is fixed: it is zero, neither its coordinate nor its bound
- * occurs in the working set, its side is INACTIVE, and the row has the penalty in its place. */
+/* This part treats rows with a slack variable. Such a row is lower <= a'z - sigma <= upper with the cost curvature / 2
+ * sigma^2, and its slack has the elastic bound sigma = 0. H and A have no entries for slacks. As long as the multiplier
+ * of the row is below the penalty, its slack is fixed: it is zero, neither its coordinate nor its bound occurs in the
+ * working set, its side is INACTIVE, and the row has the penalty in its place. */
 
 /* Returns the slack variable of general row c, or -1. */
 static inline int qp_slack(int c)

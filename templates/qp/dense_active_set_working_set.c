@@ -1,4 +1,5 @@
-/* Contract of this part: the factorised working set, its updates when rows enter and leave, and the minimiser on it. */
+/* This part factorises the working set, updates the factors when rows enter and leave, and computes the minimiser on
+ * the working set. */
 
 /* Values of side[]. */
 enum { AT_LOWER = -1, INACTIVE = 0, AT_UPPER = 1 };

@@ -1,5 +1,5 @@
-/* Contract of this part: slacks begin to move when the multiplier of their row exceeds the penalty, and are fixed again
- * before the next problem. */
+/* A slack becomes free when the multiplier of its row exceeds the penalty. All slacks are fixed again before the next
+ * problem. */
 
 /* Returns 1 if c is a general row whose slack is fixed. */
 static int qp_can_yield(const qp_t *q, int c)
@@ -34,7 +34,7 @@ static int qp_yields(qp_t *q, int c, int side, real_t *mm, real_t *left)
     return 1;
 }
 
-/* Keeps member k, whose multiplier is at the limit of the given side, in the working set, but lets its slack move. The
+/* Keeps member k, whose multiplier is at the limit of the given side, in the working set, but frees its slack. The
  * normal m of another row is kept. */
 static void qp_yield(qp_t *q, int k, int side)
 {
@@ -48,7 +48,8 @@ static void qp_yield(qp_t *q, int k, int side)
     copy(q->work.basis.m, other);
 }
 
-/* Fixes the saturated slacks of rows that are not members on the same side; all slacks if there is no working set. */
+/* Fixes every saturated slack unless its row is a member on the side of the slack. Fixes all slacks if the working set
+ * is empty. */
 static void qp_fix_slacks(qp_t *q)
 {
     for (int c = NV; c < NV + NG; ++c) {
@@ -63,7 +64,7 @@ static void qp_fix_slacks(qp_t *q)
     }
 }
 
-/* Gives every row with a fixed slack the penalty of the slack; a row whose slack moves is hard. */
+/* Gives every row with a fixed slack the penalty of the slack; a row with a free slack becomes hard. */
 static void qp_share_penalties(qp_t *q)
 {
     for (int c = NV; c < NV + NG; ++c) {

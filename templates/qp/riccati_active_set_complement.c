@@ -1,4 +1,4 @@
-/* Contract of this part: the rows of a small working set as equations, without weights.
+/* This part treats the rows of a small working set as equations, without weights.
  *
  * With H the factorised Hessian on the null space of the dynamics and the fixed controls, and A the gradients of the
  * members, multipliers that grow by d move the values of the members by -C d, where C = A H^{-1} A' is the Schur

@@ -1,5 +1,5 @@
-/* Contract of this part: the fallback if no working set is found: the interior point method, followed by an attempt
- * from the working set that its complementarity indicates. */
+/* If no working set is found, this part calls the interior point method, and then starts the iterations from the
+ * working set that its complementarity indicates. */
 
 /* Saves the solution of the interior point method in work arrays of that method. */
 static void qp_put_aside(solver_t *s)

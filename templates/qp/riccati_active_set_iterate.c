@@ -1,5 +1,4 @@
-/* Contract of this part: the step from one working set to the next, with all changes at once (primal-dual active
- * set). */
+/* This part makes the step from one working set to the next, with all changes at once (primal-dual active set). */
 
 /* Returns the tolerance for rounding errors: `exact`, or a multiple of sqrt(machine epsilon) while the minimiser is not
  * refined. */

@@ -1,7 +1,7 @@
-/* Contract of this part: refinement of the minimiser on the working set to rounding accuracy. Corrections are computed
- * with the present factors from the residuals of the original optimality conditions, so that perturbations in the
- * factors (weights of members, additions to pivots) cost iterations, not accuracy. For members this is the method of
- * multipliers, for pivots the proximal point method. */
+/* This part refines the minimiser on the working set to rounding accuracy. Corrections are computed with the present
+ * factors from the residuals of the original optimality conditions, so that perturbations in the factors (weights of
+ * members, additions to pivots) cost iterations, not accuracy. For members this is the method of multipliers, for
+ * pivots the proximal point method. */
 
 /* Returns 1 if the factors differ from those of the original problem on the working set. */
 static int qp_is_approximate(const solver_t *s)

@@ -1,4 +1,4 @@
-/* Contract of this part: the recursion for the first working set of the iterations, and the scales of rows. */
+/* This part runs the recursion for the first working set of the iterations, and computes the scales of rows. */
 
 /* Passes the working set, corrected for the present bounds, to the recursion and marks all factors and vectors as
  * stale. */

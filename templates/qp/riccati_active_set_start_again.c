@@ -1,4 +1,4 @@
-/* Contract of this part: the fallback if no working set is found, which is a second attempt. */
+/* If no working set is found, this part makes a second attempt. */
 
 /* Restarts from the empty working set. Returns OK; ITERATION_LIMIT if no working set is found, whether or not one
  * exists; NUMERICAL_FAILURE. */

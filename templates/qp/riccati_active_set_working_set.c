@@ -1,4 +1,4 @@
-/* Contract of this part: the working set side[], its effect on the recursion, and the multipliers at its minimiser.
+/* This part keeps the working set side[], applies it to the recursion, and computes the multipliers at its minimiser.
  *
  * A member is an equation at its bound: a control is fixed, a row has the augmented Lagrangian
  *     center (a'z - t) + weight/2 (a'z - t)^2,   mult = center + weight (a'z - t)

@@ -1,5 +1,4 @@
-/* Contract of this part: tests of the multipliers by the adjoint equation, for stationarity or as a proof of
- * infeasibility. */
+/* This part tests the multipliers by the adjoint equation, for stationarity or as a proof of infeasibility. */
 
 /* w = S_k'lam + g_k, where lam is the adjoint of x_{k+1}. */
 static inline void ipm_adjoint_step(solver_t *s, int k, const real_t *lam, real_t *w)
@@ -210,7 +209,7 @@ static int ipm_infeasible(solver_t *s)
     return 0;
 }
 
-/* Checks the hard rows that no control moves. Returns 1, with the certificate, if one is violated. */
+/* Checks the hard rows that depend on no control. Returns 1, with the certificate, if one is violated. */
 static int ipm_constant_rows(solver_t *s)
 {
     qp_t *q = &s->qp;

@@ -40,8 +40,8 @@ static void ipm_write_active(solver_t *s)
     }
 }
 
-/* Marks soft rows that are not among the sides as violated: those that no control moves, and those whose violation has
- * no cost. */
+/* Marks soft rows that are not among the sides as violated: those that depend on no control, and those whose violation
+ * has no cost. */
 static void ipm_write_others(solver_t *s)
 {
     const qp_t *q = &s->qp;

@@ -1,6 +1,6 @@
-/* Contract of this part: predictor-corrector iterations from the initial sides to the solution. */
+/* Predictor-corrector iterations lead from the initial sides to the solution. */
 
-/* Returns the multiplier of a soft row that no control moves; 0 for any other row. */
+/* Returns the multiplier of a soft row that depends on no control; 0 for any other row. */
 static real_t ipm_constant_multiplier(const solver_t *s, int c)
 {
     const qp_t *q = &s->qp;

@@ -1,4 +1,4 @@
-/* Contract of this part: the rows of the QP (controls first, then general rows), their sides with finite bounds, and
+/* This part evaluates the rows of the QP (controls first, then general rows), their sides with finite bounds, and
  * directions. */
 
 /* Kind of a row: an inequality or an unbounded row; an equation; a control that is fixed by equal bounds. */

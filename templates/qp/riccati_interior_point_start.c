@@ -1,5 +1,5 @@
-/* Contract of this part: how far the values of rows can move, and the first iterate. Both start from the minimiser
- * subject to only the equations. */
+/* This part bounds the change of the values of rows, and computes the first iterate. Both start from the minimiser that
+ * is subject to only the equations. */
 
 /* Runs the recursion with the present weights. If a pivot may be zero, a term is added to it, which is increased until
  * the factorisation succeeds. */

@@ -1,5 +1,5 @@
-/* Contract of this part: the check before OK. The result (x, z, mult) must satisfy the hard rows and the stationarity
- * of the original QP, whatever the solver has concluded from its own, perturbed, conditions. */
+/* This part checks a result before the status becomes OK. The result (x, z, mult) must satisfy the hard rows and the
+ * stationarity of the original QP, whatever the solver has concluded from its own, perturbed, conditions. */
 
 /* Computes size[], the largest magnitude of every component of x and z over the stages; full: also of the sum of the
  * terms of a state in the dynamics, which may cancel. */

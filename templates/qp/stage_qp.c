@@ -1,6 +1,6 @@
-/* Contract of this part: functions shared by the solvers of the stage QP: sides of bounds, rows, validation of bounds,
- * and clearing of results. A row has its gradient in the variables of one stage; a bound on a state is stored as the
- * index of its component. */
+/* The solvers of the stage QP share these functions: sides of bounds, rows, validation of bounds, and clearing of
+ * results. A row has its gradient in the variables of one stage; a bound on a state is stored as the index of its
+ * component. */
 
 /* Side of a row. A member of the working set is an equation at its bound; a row BELOW or ABOVE is violated. */
 enum { BELOW = -2, AT_LOWER = -1, INACTIVE = 0, AT_UPPER = 1, ABOVE = 2 };

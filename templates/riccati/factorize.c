@@ -178,8 +178,8 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
 #if TILES
 #include "riccati/factorize_lanes.c"
 #else
-/* Eliminates the controls: M_uu = L D L' with 1 / D stored on the diagonal of L, V = L^{-1} M_ux, -D^{-1} V in W below
- * the states. Returns 0 if a pivot is not positive. */
+/* Eliminates the controls: factorises M_uu = L D L', with 1 / D on the diagonal of L, and computes V = L^{-1} M_ux. The
+ * rows of W after those of the states become -D^{-1} V. Returns 0 if a pivot is not positive. */
 static int riccati_eliminate_controls(riccati_t *r, int k)
 {
     real_t(*L)[NU] = r->L[k];

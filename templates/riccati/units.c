@@ -1,5 +1,5 @@
-/* Contract of this part: the reach of the rows, the distance by which half a unit of cost moves their values, from the
- * factors of the recursion. */
+/* This part computes the reach of each row, which is the distance by which half a unit of cost moves its value, from
+ * the factors of the recursion. */
 
 /* Returns the term added to a zero pivot that has no scale of its own. */
 static real_t riccati_least_pivot(solver_t *s)
@@ -130,7 +130,7 @@ static void riccati_controls_reach(solver_t *s, int k)
 
 /* reach_c = (a_c'H^{-1}a_c)^{1/2}, the distance by which half a unit of cost moves row c, where H is the factorised
  * Hessian on the null space of the dynamics. H^{-1} is computed as the covariance of the states and controls of a
- * linear system driven by unit noise. A reach of 0 means that no control moves the row. */
+ * linear system driven by unit noise. A reach of 0 means that the row depends on no control. */
 static void riccati_set_reach(solver_t *s)
 {
     noise_t *q = &s->riccati.work.noise;

@@ -26,7 +26,7 @@ HELD = (*SAMPLES, *(Sample(f"case {name}", c.make, options_of(c), c.x0, c.data) 
 
 #: The components of every sample, as the compiler chooses them; test_samples.py compares it with what is lowered.
 FILE = Path(__file__).with_name("components.json")
-#: Samples that share their packages between contracts in `make test`, before all others.
+#: These samples come first in `make test`, because several contracts share their packages.
 FIRST = (
     *("crane", "controls riccati", "soft rows interior", "stiff everything", "discrete rows riccati", "tuned dense"),
     *("states augmented", "path shooting", "reactor window", "battery filter", "map window", "controls OSQP"),

@@ -1,4 +1,4 @@
-"""The contracts of plans compare solve(), and residuals and cost of any plan, with IPOPT and numpy."""
+"""These contracts compare solve() with IPOPT, and the KKT residuals and the cost of any plan with numpy."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class Drawn:
         return self.plant.horizon / self.plant.intervals
 
     def ocp(self) -> OCP:
-        """State the problem as a user does; controls have their first values as references."""
+        """Return the OCP as a user writes it; controls have their first values as references."""
         p = self.plant
         ocp = OCP(p.name, T=p.horizon, N=p.intervals)
         x = [ocp.state(name, initial=float(np.mean(range_))) for name, range_ in zip(p.states, p.start, strict=True)]

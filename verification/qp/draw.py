@@ -82,7 +82,7 @@ class Draft:
 
 
 def shapes_of(kind: str) -> tuple[Shape, ...]:
-    """Return the shapes of a class, which its numbers take in turn."""
+    """Return the shapes of a class: QP number n has shape n modulo their number."""
     return CROWDED if kind == "equalities in excess" else SHAPES
 
 

@@ -56,7 +56,7 @@ SCALE = 1e-8
 
 
 def stage_ocp(shape: Shape) -> OCP:
-    """State the problem of a shape; all controls are bounded, and the first ``states`` states at the nodes 1 .. N."""
+    """Return the problem of a shape; all controls are bounded, and the first ``states`` states at the nodes 1 .. N."""
     nx, nz = shape.nx, shape.nx + shape.nu
     ocp = OCP("stages", N=shape.N)
     x, u = ocp.state("x", size=nx, scale=SCALE), ocp.control("u", size=shape.nu, scale=SCALE)

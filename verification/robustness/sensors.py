@@ -48,7 +48,7 @@ def pendulum() -> tuple[OCP, Mapping[str, Any]]:
 def _as_declared(
     make: Callable[[], tuple[OCP, Mapping[str, Any]]], guess: Any, doubt: Any, of: Plant | None, **given: Any
 ) -> Plant:
-    """Return a plant that starts where it is believed to, up to the declared doubt."""
+    """Return a plant whose initial state is the guess plus noise with the declared standard deviations."""
     n = len(guess)
     more = {} if of is None else {"low": of.low, "high": of.high, "controls": of.controls, "silent": of.silent}
     return Plant(make, guess, doubt, guess, doubt, (1.0,) * n, BEFORE, WINDOW, **{**more, **given})

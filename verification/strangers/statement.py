@@ -89,7 +89,7 @@ class Stranger:
         return Options(ExplicitRungeKutta(RK4, steps=self.steps))
 
     def ocp(self) -> OCP:
-        """State the problem as a user of the product does."""
+        """Return the OCP as a user of the product writes it."""
         ocp = OCP(self.name, T=self.T, N=self.N)
         middle = np.mean(self.start, axis=0)
         x = [ocp.state(name, initial=float(value)) for name, value in zip(self.states, middle, strict=True)]

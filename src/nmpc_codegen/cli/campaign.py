@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class CampaignRun:
-    """The flag, and the campaign that was run."""
+    """A run of the command with --campaign has the flag and the campaign."""
 
     def __init__(self, arguments: argparse.Namespace, stated: FoundProblem, name: str, printer: Printer) -> None:
         self._printer = printer

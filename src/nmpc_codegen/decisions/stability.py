@@ -55,7 +55,7 @@ class Modes(NamedTuple):
 
 
 def stated_modes(problem: Problem) -> Modes:
-    """Return the modes at the points that the problem states, at all corners of its ranges."""
+    """Return the modes at the first plan and at the references of the cost, at all corners of the ranges."""
     return _of_corners(problem, points, at_ends=False)
 
 

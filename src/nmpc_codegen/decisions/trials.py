@@ -80,7 +80,7 @@ class Trials:
 
     @property
     def is_consistent(self) -> bool:
-        """Return True unless Newton's method finds no algebraic variables at the first plan."""
+        """Return False if Newton's method fails to find the algebraic variables at the first plan."""
         algebra = self.problem.algebra
         return algebra is None or bool(np.all(np.isfinite(algebra.found)))
 

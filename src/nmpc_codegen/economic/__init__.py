@@ -1,6 +1,6 @@
 """Economic NMPC is prepared off line: steady state, terminal cost, and a Hessian as cheap as that of tracking.
 
-    steady_state(ocp)       the best steady state and its multipliers
+    steady_state(ocp)       the optimal steady state and its multipliers
     tune(ocp)               M of EconomicGaussNewton, by a semidefinite program
     tune_periodic(ocp)      the best periodic operation, and Hessians along it
     lqr_terminal_cost(ocp)  the numbers of ocp.lqr_terminal_cost()

@@ -70,7 +70,7 @@ def letempc_terminal_cost(tuning: Tuning, x: Any) -> Expression:
 
 
 def periodic_letempc(tuning: PeriodicTuning, ocp: OCP) -> Callable[[int], dict[str, Array]]:
-    """State the least-squares cost of LETEMPC along an orbit for an OCP without a cost.
+    """Give an OCP without a cost the least-squares cost of LETEMPC along an orbit.
 
         1/2 |R_k (w - c_k)|^2,   R_k'R_k = M_k,   c_k = w_k + M_k^-1 C_k' mu_k,   1/2 |R_N (x_N - c_N)|^2
 

@@ -2,7 +2,7 @@
 
     M = H + (Hcal(dP) + eta C'F C) / alpha,   M_f = H_f - (dP + eta D'G D) / alpha
 
-H is the Hessian of the Lagrangian of the best steady state. Rotating the cost by a quadratic storage function (Hcal)
+H is the Hessian of the Lagrangian of the optimal steady state. Rotating the cost by a quadratic storage function (Hcal)
 and adding squares of strictly active rows (C'F C) change neither the solution nor, at the steady state, the Hessian on
 the null space of the dynamics and of those rows; so M keeps the fast convergence near the steady state.
 
@@ -198,7 +198,7 @@ def tune(
 
 
 def steady_state(ocp: OCP, options: Options | None = None, guess: Any = None) -> SteadyState:
-    """Return the best steady state and its multipliers: min l  s.t.  x = Phi(x, u) and the rows of the path.
+    """Return the optimal steady state and its multipliers: min l  s.t.  x = Phi(x, u) and the rows of the path.
 
     Cyclic states are left out; M is not computed.
 

@@ -52,9 +52,9 @@ class LinearQuadratic:
         return int(self.B.shape[1])
 
     def rotate(self, P: Array, after: Array | None = None) -> Array:
-        """Return Hcal(P) = [A'QA - P, A'QB.
+        """Return Hcal(P) = [A'QA - P, A'QB; B'QA, B'QB].
 
-        B'QA, B'QB], where Q is ``after``, the matrix at the end of the interval, or P.
+        Q is ``after``, the matrix at the end of the interval, or P.
         """
         AB = np.hstack([self.A, self.B])
         found: Array = AB.T @ (P if after is None else after) @ AB

@@ -1,4 +1,4 @@
-"""The best steady state and its multipliers are found by IPOPT and Newton's method.
+"""IPOPT and Newton's method find the optimal steady state and its multipliers.
 
     min l(x, u)  s.t.  x = Phi(x, u),  lower <= h(x, u) <= upper
     L_s = l + lam_s' (Phi - x) + mu_s' h,    mu_s > 0 at the upper bound and < 0 at the lower one

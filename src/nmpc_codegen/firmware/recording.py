@@ -194,7 +194,8 @@ def record_estimates(observer: Observer, samples: int, seed: int = 1) -> Recordi
 def ranges(description: PackageDescription, u: Array, size: float = 0.0) -> Array:
     """Return the range of every control: between its declared bounds, else between the extremes of the recorded values.
 
-    If a control changes only by rounding, its range is the rounding of results of this ``size`` over the tolerance.
+    ``size`` is the magnitude of the results. An unbounded control that changes by at most eps size / TOLERANCE has this
+    number as its range, or 1 if it is 0.
     """
     spread = np.ptp(u, axis=0) if len(u) else np.zeros(description.dims.nu)
     least = float(np.finfo(description.real).eps) / TOLERANCE[description.precision] * size

@@ -89,7 +89,7 @@ class Statement:
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """The scalar equation expression = 0 in derivatives, algebraic variables and other symbols of a node."""
+    """An equation states expression = 0 in derivatives, algebraic variables and other symbols of a node."""
 
     name: str
     expression: Any

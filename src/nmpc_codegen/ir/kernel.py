@@ -134,7 +134,7 @@ class Port:
 
 
 class Instruction(NamedTuple):
-    """The instruction value[i] = op(value[args]).
+    """The instruction computes value[i] = op(value[args]).
 
     OP_CONST has ``constant``, OP_INPUT has ``args`` = (port, element).
     """

@@ -1,7 +1,7 @@
 """These constants were chosen for speed: they change the form of the generated code, never its results.
 
-Each constant names the topic of the benchmarks that justifies it, for `python -m benchmarks --only TOPIC`; measure a
-new value there before changing it here.
+Each comment ends with the topics of the benchmarks that justify its constant, for `python -m benchmarks --only TOPIC`;
+measure a new value there before changing it here.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SPARSE = 4
 #: Number of products that are summed before the sum is added to the total of a row. times
 TERMS = 4
 
-#: unroll="auto": the largest straight-line program, in instructions, before loops are preferred. times
+#: Largest straight-line program, in instructions, that unroll="auto" prints. times
 AUTO_INSTRUCTIONS = 2500
 
 #: Operations of an integration step in loops up to which targets with lanes have it as straight-line code.

@@ -121,7 +121,10 @@ class Reference:
         self._solver = ca.nlpsol("reference", "ipopt", nlp, options)
 
     def _values(self, k: int) -> Any:
-        """Return the values that expressions of node k use for p; algebraic variables become variables."""
+        """Return the values that expressions of node k use for p.
+
+        Algebraic variables on which the expressions depend become variables of the NLP.
+        """
         problem, algebra, p = self.problem, self.problem.algebra, self._data.p[k]
         stage = problem.path if k < problem.N else problem.terminal
         if algebra is None or not problem.solved:

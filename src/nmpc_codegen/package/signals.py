@@ -32,7 +32,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class EntryPoint:
-    """A function <prefix>_<name>(solver, inputs, outputs) -> status that the algorithm offers."""
+    """The algorithm offers this function <prefix>_<name>(solver, inputs, outputs) -> status."""
 
     name: str
     doc: str

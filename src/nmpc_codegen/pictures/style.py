@@ -1,4 +1,4 @@
-"""All pictures share a style, figures for files and for displays, and legends."""
+"""All plots use this style and these legends, and figures that are created here for a file or for a display."""
 
 from __future__ import annotations
 

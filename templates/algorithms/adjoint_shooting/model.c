@@ -1,10 +1,10 @@
-/* Contract of this part: the quadratic model over steps d of the scaled controls, r' d + 1/2 d' H d, whose H is that of
+/* This part is the quadratic model over steps d of the scaled controls, r' d + 1/2 d' H d, whose H is that of
  * Gauss-Newton: second derivatives of the cost and the terms of the rows along the linearised trajectory,
  *
  *     dx_{k+1} = A_k dx_k + B_k du_k,   w_k = B_k' lam_{k+1} + (H_k d_k)_u,   lam_k = A_k' lam_{k+1} + (H_k d_k)_x,
  *
- * and, for terminal rows with values c, slopes Xi = dc / du and weights Omega, mu' (c + Xi d) +
- * 1/2 (c + Xi d)' Omega (c + Xi d), where Omega is so large that c + Xi d = 0 holds to the precision at hand. */
+ * and, for terminal rows with values c, slopes Xi = dc / du and weights Omega, mu' (c + Xi d) + 1/2 (c + Xi d)' Omega
+ * (c + Xi d), where Omega is so large that c + Xi d = 0 holds to the precision at hand. */
 
 /* y += factor x */
 static void add_multiple(real_t *y, real_t factor, const real_t *x)

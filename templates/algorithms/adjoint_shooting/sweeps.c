@@ -1,5 +1,5 @@
-/* Contract of this part: sweeps over the horizon. Only the states are stored; of the derivatives [A_k B_k] of an
- * interval only products with vectors are computed. Controls are divided by control_scale. */
+/* These sweeps run over the horizon. Only the states are stored; of the derivatives [A_k B_k] of an interval only
+ * products with vectors are computed. Controls are divided by control_scale. */
 
 /* Simulates the plan from x_0 with its controls. Returns 0 if a state is not finite. */
 static int simulate_plan(solver_t *s)

@@ -1,7 +1,7 @@
-/* Contract of this part: the preconditioner, a factorisation of H + shift scale^-2 over the free variables, from the
- * last node to the first. A_k = L_k' D_k L_k with unit lower triangular L_k, so that the controls of a node are
- * eliminated before its states, W_k = L_{k+1}^{-T} B_k, and A_k loses W_k' D_{k+1}^{-1} W_k. The diagonal of a block
- * holds D_k^{-1}; entries above it have no meaning. */
+/* The preconditioner is a factorisation of H + shift scale^-2 over the free variables, from the last node to the first.
+ * A_k = L_k' D_k L_k with unit lower triangular L_k, so that the controls of a node are eliminated before its states,
+ * W_k = L_{k+1}^{-T} B_k, and A_k loses W_k' D_{k+1}^{-1} W_k. The diagonal of a block holds D_k^{-1}; entries above it
+ * have no meaning. */
 
 /* to = factor from, for a row of LDZ entries; entries where `open` is 0 become 0. */
 static inline void mask_row(real_t *to, real_t factor, const real_t *from, const real_t *open)

@@ -1,7 +1,7 @@
-/* Contract of this part: the relaxed rows along a step. In the model the terms psi_m are parabolas at the present plan,
- * but the step may reach a point where a row begins or ceases to act. The model then takes the parabola of the other
- * side, so that its gradient at d is that of the cost, the gaps and psi_m(v_m + J_m d), with v_m and J_m from the
- * linearisation. */
+/* This part keeps the model of the relaxed rows valid along a step. The model has a parabola for every term psi_m,
+ * expanded at the present plan, but along the step a row may begin or cease to act. The model then uses the parabola of
+ * psi_m beyond this kink, so that the gradient of the model at d is that of the cost, the gaps and psi_m(v_m + J_m d),
+ * with v_m and J_m from the linearisation. */
 
 /* Returns J_m d_k of a relaxed row. */
 static real_t row_change(const solver_t *s, int m, real_t (*d)[LDZ])

@@ -1,5 +1,5 @@
-/* Contract of this part: the quadratic model of the augmented Lagrangian at the plan, over steps d = (dx_k, du_k) of
- * N + 1 nodes with LDZ entries; those of the controls at node N and those after NZ are 0. Its Hessian is
+/* This part is the quadratic model of the augmented Lagrangian at the plan, over steps d = (dx_k, du_k) of N + 1 nodes
+ * with LDZ entries; those of the controls at node N and those after NZ are 0. Its Hessian is
  *
  *     sum_k d_k'Q_k d_k + (S_k d_k - dx_{k+1})' rho (S_k d_k - dx_{k+1}) + dx_0' rho dx_0,
  *     Q_k = Hessian of the stage + sum of psi_m'' J_m' J_m over the relaxed rows of node k,

@@ -1,5 +1,5 @@
-/* Contract of this part: a round of a sample, ITERATIONS steps of the trust-region method and one dual update, and the
- * rounds that repair a plan before a sample. The plan changes only if it stays finite. */
+/* A round of a sample makes ITERATIONS steps of the trust-region method and one dual update. Other rounds repair a plan
+ * before a sample. The plan changes only if it stays finite. */
 
 /* Sets the multipliers of the bounds to minus the gradient of the augmented Lagrangian where a bound holds it. */
 static void set_bound_multipliers(solver_t *s)

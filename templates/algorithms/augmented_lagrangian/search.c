@@ -1,7 +1,7 @@
-/* Contract of this part: one iteration of the trust-region method on the bound-constrained problem min L. It finds the
- * Cauchy point by a projected search along the gradient, then minimises the model plus r/2 |d - d_c|^2 over the free
- * variables by conjugate gradients with projected searches, and accepts the step by the ratio of actual and predicted
- * reduction. All lengths are those of the scaled variables. */
+/* This part makes one iteration of the trust-region method on the bound-constrained problem min L. The iteration finds
+ * the Cauchy point by a projected search along the gradient, then minimises the model plus r/2 |d - d_c|^2 over the
+ * free variables by conjugate gradients with projected searches, and accepts the step by the ratio of actual and
+ * predicted reduction. All lengths are those of the scaled variables. */
 
 /* Sets d to the point of the box that is nearest to from + t direction. Returns 1 if from + t direction is inside the
  * box. */
@@ -230,8 +230,8 @@ static real_t value_at_step(solver_t *s)
     return inner(a->g, a->d) + R(0.5) * inner(a->d, a->Hd) + a->offset + beyond_parabolas(s);
 }
 
-/* Moves d back towards the previous point `kept` until rows that it reaches leave a value of at most `most`. Returns
- * the value of the model, that of `kept` if there is no such point. */
+/* Shortens the step d towards the previous point `kept` until the model, with the rows that have left their parabola,
+ * is at most `most`; d becomes `kept` if no trial reaches that. Returns the value of the model at d. */
 static real_t shorten(solver_t *s, real_t most)
 {
     auglag_t *a = &s->auglag;

@@ -1,4 +1,4 @@
-/* Contract of this part: the augmented Lagrangian of the present plan,
+/* This part evaluates the augmented Lagrangian of the present plan,
  *
  *     L = cost + sum (lam_i + rho_i/2 c_i) c_i + sum psi_m(v_m),   c_0 = xhat - x_0,   c_{k+1} = Phi_k - x_{k+1},
  *     psi_m(v) = min_y P_m(y) + mu_m (v - y) + rho_m/2 (v - y)^2,
@@ -96,7 +96,7 @@ static void estimate_multipliers(solver_t *s)
     }
 }
 
-/* Makes the estimates the multipliers. */
+/* Replaces the multipliers by the estimates. */
 static void update_multipliers(solver_t *s)
 {
     auglag_t *a = &s->auglag;

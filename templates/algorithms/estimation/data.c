@@ -1,4 +1,4 @@
-/* Contract of this part: API(measure), and the data of a sample at its node: controls, measurements and their
+/* API(measure) makes an estimate. This part stores the data of a sample at its node: controls, measurements and their
  * accuracy. */
 
 /* Stores the measurements y at node k; those that are not finite are missing. */

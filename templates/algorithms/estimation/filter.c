@@ -1,5 +1,5 @@
-/* Contract of this part: the square-root Kalman filter. The covariance is L L'. Model and measurements are linearised
- * at the state x[k] and the noise u[k] of the plan, which may differ from the mean. */
+/* This part is the square-root Kalman filter with the covariance L L'. Model and measurements are linearised at the
+ * state x[k] and the noise u[k] of the plan, which may differ from the mean. */
 
 /* Returns 1 if all numbers are finite and no state exceeds its scale by far. */
 static int filter_is_sane(const filter_t *f)

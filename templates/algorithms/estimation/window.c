@@ -1,5 +1,5 @@
-/* Contract of this part: the window of the last N intervals. Node `window` is that of the present sample; later nodes
- * belong to samples to come and are not used. */
+/* This part keeps the window of the last N intervals. Node `window` belongs to the present sample; later nodes belong
+ * to samples to come and are not used. */
 
 /* Computes information = (L L')^-1 of the arrival cost; directions that only rounding errors determine get no
  * information. */
@@ -110,7 +110,7 @@ static void hold_future(solver_t *s)
     }
 }
 
-/* Returns the largest gap of the window in the size of its state. */
+/* Returns the largest gap of the window, relative to the size of its state. */
 static real_t gap_of_window(const solver_t *s, const real_t *size)
 {
     real_t most = R(0);
@@ -124,7 +124,7 @@ static real_t gap_of_window(const solver_t *s, const real_t *size)
     return most;
 }
 
-/* Returns the largest change of the present estimate by the last step, in the size of its state. */
+/* Returns the largest change of the present estimate by the last step, relative to the size of its state. */
 static real_t change_of_estimate(const solver_t *s, const real_t *size)
 {
     real_t most = R(0);

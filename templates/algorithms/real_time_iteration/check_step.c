@@ -1,8 +1,9 @@
-/* Contract of this part: the check before OK of a QP whose states were eliminated. Its solution must satisfy the hard
- * rows of the QP with all states, and stationarity. Rounding errors of the elimination appear in these conditions. */
+/* This part checks the solution of a QP with eliminated states before the status becomes OK. The solution must satisfy
+ * the hard rows of the QP with all states, and stationarity. Rounding errors of the elimination appear in these
+ * conditions. */
 
-/* Writes to size[], which is 0, the largest magnitude of every component of (dx, du) over the horizon, and of the gaps
- * of the states. Returns 1 if the step is finite. */
+/* Stores in size[] the largest magnitude of every component of (dx, du) over the horizon; that of a state includes its
+ * gaps. size[] is 0 on entry. Returns 1 if the step is finite. */
 static int step_sizes(const solver_t *s, real_t *size)
 {
     widen(size, s->step.dx[N], NX);

@@ -1,6 +1,6 @@
-/* Contract of this part: the residual of a plan measures how far the plan is from satisfying the model where a QP is
- * linearised. It is the largest gap in the scale of its state. Changes of data since the last step (measured state,
- * bounds, references) do not count, nor does the last interval, which a shift adds. */
+/* The residual of a plan measures how far the plan is from satisfying the model where a QP is linearised. It is the
+ * largest gap relative to the scale of its state. Changes of data since the last step (measured state, bounds,
+ * references) do not count, nor does the last interval, which a shift adds. */
 
 #include "algorithms/shared/scales.c"
 
@@ -40,7 +40,7 @@ static real_t row_residual(solver_t *s, real_t length)
     return most;
 }
 
-/* Returns the largest gap of the plan in the size of its state, without derivatives. */
+/* Returns the largest gap of the plan, relative to the size of its state, without derivatives. */
 static real_t largest_gap(const solver_t *s, const real_t *size)
 {
     real_t most = R(0);

@@ -11,8 +11,8 @@ static inline const real_t *row_of_stage(const real_t *Z, const real_t *U, int v
     return (variable < NXA) ? &Z[variable * NZ] : &U[(variable - NXA) * NZ];
 }
 
-/* W = H_i Z_i, NZ columns, rows of variables with second derivatives; H holds the lower triangle of H_i, and all of it
- * afterwards. */
+/* W = H_i Z_i, with NZ columns; only the rows of variables with second derivatives are written. H holds the lower
+ * triangle of H_i on entry, and the full matrix on return. */
 static void multiply_curvature(real_t (*H)[NXAU], const real_t *Z, const real_t *U, real_t *W)
 {
     for (int i = 0; i < NXAU; i++) {

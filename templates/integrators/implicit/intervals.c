@@ -1,5 +1,4 @@
-/* Contract of this part: the stages of implicit Runge-Kutta schemes, and the functions of an interval that integrate
- * over them. */
+/* This part solves the stages of implicit Runge-Kutta schemes, and integrates over an interval with them. */
 
 #include "integrators/implicit/lu.c"
 

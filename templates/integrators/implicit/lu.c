@@ -100,7 +100,8 @@ static inline void lu_solve_transposed(
     }
 }
 
-/* Returns the largest entry of a step d of n variables v, in the size of each; `worst` is its index. */
+/* Returns the largest entry of a step d of n variables v, relative to the size of each variable; `worst` is its
+ * index. */
 static inline real_t size_of_correction(const real_t *d, const real_t *v, const real_t *unit, int n, int *worst)
 {
     real_t most = R(0);

@@ -59,7 +59,7 @@ SCHEMES: dict[str, type[ThreeSweeps] | type[AdjointSweep]] = {
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta(Integrator):
-    """An explicit Runge-Kutta scheme with equal steps in every interval.
+    """The scheme is explicit, with equal steps in every interval.
 
     Args:
         tableau: the scheme.

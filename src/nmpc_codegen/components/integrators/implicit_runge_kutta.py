@@ -48,7 +48,7 @@ NEWTON_STEPS = 2
 
 @dataclass(frozen=True)
 class ImplicitRungeKutta(Integrator):
-    """An implicit Runge-Kutta scheme with equal steps per interval, for stiff models and algebraic equations.
+    """The scheme is implicit, for stiff models and algebraic equations, with equal steps per interval.
 
     Args:
         tableau: the scheme.
@@ -109,9 +109,10 @@ class ImplicitRungeKutta(Integrator):
         return Intervals(problem, self.tableau, self.steps, self.newton_steps)
 
     def interval(self, problem: Problem) -> Interval:
-        """Return the routines of an interval, of a step, and of the value of an interval.
+        """Return the routines of an interval with sensitivities, of a step, and of an interval without sensitivities.
 
-        interval(x, u, p, dt, newton -> x_next, S, left), step(x, u, p, h, newton -> x_next).
+        interval(x, u, p, dt, newton -> x_next, S, left), step(x, u, p, h, newton -> x_next),
+        value(x, u, p, dt, newton -> x_next, left).
         """
         found = self._intervals(problem)
         return Interval(

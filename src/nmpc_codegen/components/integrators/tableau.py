@@ -35,7 +35,7 @@ STABILITY = ("", "A", "L")
 
 @dataclass(frozen=True)
 class ButcherTableau:
-    """A Runge-Kutta scheme X_i = x + h sum_j a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i.
+    """The tableau defines the Runge-Kutta scheme X_i = x + h sum_j a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i.
 
     The tableau is checked on creation: a is lower triangular with a nonnegative diagonal, or regular. The order
     conditions up to min(order, 4), and the quadrature conditions beyond, hold exactly, or up to rounding with

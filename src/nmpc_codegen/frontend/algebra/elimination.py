@@ -32,7 +32,7 @@ SMALL, DETERMINANTS = 1e-3, 3
 
 @dataclass(frozen=True, eq=False)
 class Unknown:
-    """A scalar v_i that the equations determine."""
+    """An unknown is a scalar v_i that the equations determine."""
 
     symbol: Any
     name: str

@@ -185,7 +185,10 @@ def _exponential(A: Array) -> Array:
 
 
 def _row_sizes(start: _Start, z: Array) -> tuple[Array, Array]:
-    """Return the sizes of the terms of all rows and their constant parts; a row of path and end has the larger size."""
+    """Return, for every row, the size of its terms and its constant part.
+
+    A row that holds on the path and at the end has the larger of its two sizes.
+    """
     problem = start.problem
     size, offset = np.zeros(len(problem.rows)), np.zeros(len(problem.rows))
     of_stage = [_terms(stage.h, stage, start, z) for stage in (problem.path, problem.terminal)]

@@ -33,7 +33,7 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class StageLoop:
-    """A stage loop runs over pieces."""
+    """A stage loop is a loop whose body is a sequence of pieces."""
 
     loop: For
     pieces: tuple[Piece | StageLoop, ...]

@@ -32,7 +32,10 @@ def blank(text: str) -> str:
 
 
 def readable(text: str) -> str:
-    """Return the code without comments except those that bound the passes of loops, which contain code names."""
+    """Return the code without comments.
+
+    Only the bounds in "/* at most ... passes */" remain, as they name identifiers.
+    """
     code = blank(text)
     for found in _PASSES.finditer(text):
         code = code[: found.start(1)] + found[1] + code[found.end(1) :]

@@ -236,7 +236,7 @@ _COMMENT_BEHIND = re.compile(rf"[ \t]*{_COMMENT}", re.DOTALL)
 
 
 class Edit(NamedTuple):
-    """A replacement of text[start:end] by ``new``."""
+    """An edit replaces text[start:end] by ``new``."""
 
     start: int
     end: int

@@ -22,5 +22,5 @@ def entries(problem: Problem) -> tuple[EntryPoint, ...]:
 
 
 def macros(problem: Problem) -> tuple[Macro, ...]:
-    """Return the number of algebraic variables."""
+    """Return the macro ALGEBRAIC, the number of algebraic variables."""
     return (Macro("ALGEBRAIC", len(problem.algebraic_names), "algebraic variables"),)

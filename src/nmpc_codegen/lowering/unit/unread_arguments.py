@@ -94,7 +94,10 @@ _POINTER = re.compile(r"[*\[]")
 
 
 def pure_functions(items: Iterable[Item]) -> frozenset[str]:
-    """Return the functions with a value whose pointers are to constants: without globals they change nothing."""
+    """Return the non-void functions whose pointer parameters all point to constants.
+
+    They have no side effects, as generated code has no global variables.
+    """
     return frozenset(item.name for item in items if item.is_prunable and _is_pure(item.text))
 
 
@@ -114,7 +117,7 @@ def _free(items: Sequence[Item]) -> list[Item]:
 
 @lru_cache(maxsize=16384)
 def _values(text: str) -> frozenset[str]:
-    """Return the names in a text that are not called; a function among them is passed to others."""
+    """Return the names that a text uses without a call; a function among them is used as a pointer."""
     return frozenset(_VALUE.findall(blank(text)))
 
 
@@ -234,7 +237,7 @@ def _number(text: str) -> str:
 
 @lru_cache(maxsize=16384)
 def _is_pure(text: str) -> bool:
-    """Return True for a function with a value whose pointers are to constants: without globals it changes nothing."""
+    """Return True for a non-void function whose pointer parameters all point to constants."""
     before, _, after = in_line(blank(text).partition("\n{\n")[0]).partition("(")
     parameters = split(after.rpartition(")")[0])
     return " void " not in before and all(not _POINTER.search(p) or p.strip().startswith("const ") for p in parameters)

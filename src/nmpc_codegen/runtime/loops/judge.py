@@ -172,7 +172,10 @@ class HeldData:
     members: Mapping[str, Array]
 
     def of(self, name: str, flights: slice, declared: Array) -> Array:
-        """Return the data of node 0 (flights or 1, ...); the declared ones if they are fixed or missing."""
+        """Return a member at node 0 (flights, ...) or, if all flights share it, (1, ...).
+
+        A member that the structs do not contain has the declared values.
+        """
         found = self.members[name]
         if not found.size:
             return declared[None]

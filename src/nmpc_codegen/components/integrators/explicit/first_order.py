@@ -43,7 +43,7 @@ def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
 
 
 class SchemeDynamics:
-    """The right-hand side f and its derivatives as leaves of sweeps."""
+    """The right-hand side f and its derivatives are leaves of the sweeps."""
 
     def __init__(self, problem: Problem) -> None:
         self.x, self.u, self.p = problem.path.x, problem.path.u, problem.path.p
@@ -81,7 +81,7 @@ class SchemeDynamics:
 
 
 class Sensitivities:
-    """The sweep of x_next = Phi(x, u, p) and S = d x_next / d(x, u), [nx][nx + nu] row-major, over one interval.
+    """This sweep computes x_next = Phi(x, u, p) and S = d x_next / d(x, u), [nx][nx + nu] row-major, over one interval.
 
     Local sensitivities are row-major with rows padded to PANEL columns, so that the loops over columns vectorise.
     """
