@@ -50,14 +50,14 @@ class StageCost:
     def ny(self) -> int:
         return int(self.residual.numel())
 
-    def _of_order(self, order: int) -> tuple[Expression, Expression, Expression]:
+    def _cost_of_order(self, order: int) -> tuple[Expression, Expression, Expression]:
         """Return residual, ties and general cost with derivatives up to this order."""
         parts = self.residual, self.ties, ca.SX(0) if self.general is None else self.general
         residual, ties, general = (self.reduce(part, order) for part in parts)
         return residual, ties, general
 
     def _value(self, order: int) -> Expression:
-        residual, ties, general = self._of_order(order)
+        residual, ties, general = self._cost_of_order(order)
         least_squares = ca.dot(residual, self.weight @ residual) / 2 if self.ny else ca.SX(1, 1)
         if ties.numel():
             least_squares += ca.sumsqr(ties) / 2
@@ -71,12 +71,12 @@ class StageCost:
     @property
     def jacobian(self) -> Expression:
         """Return J = dy / dz."""
-        return ca.jacobian(self._of_order(1)[0], self.z) if self.ny else ca.SX(0, self.nz)
+        return ca.jacobian(self._cost_of_order(1)[0], self.z) if self.ny else ca.SX(0, self.nz)
 
     @property
     def gradient(self) -> Expression:
         """Return d l / dz."""
-        residual, ties, general = self._of_order(1)
+        residual, ties, general = self._cost_of_order(1)
         least_squares = self.jacobian.T @ (self.weight @ residual) if self.ny else ca.SX(self.nz, 1)
         least_squares += ca.jacobian(ties, self.z).T @ ties
         if self.general is None:
@@ -86,7 +86,7 @@ class StageCost:
     @property
     def gauss_newton(self) -> Expression:
         """Return the lower triangle of J' W J."""
-        of_ties = ca.jacobian(self._of_order(1)[1], self.z)
+        of_ties = ca.jacobian(self._cost_of_order(1)[1], self.z)
         return ca.sparsify(ca.tril(self.jacobian.T @ self.weight @ self.jacobian + of_ties.T @ of_ties))
 
     @property
@@ -130,7 +130,7 @@ class StageCost:
     def product(self) -> Expression:
         """Return J' W J d plus the Hessian of the general cost times d."""
         d = self.direction
-        residual, ties, _ = self._of_order(1)
+        residual, ties, _ = self._cost_of_order(1)
         moved = ca.jtimes(residual, self.z, d) if self.ny else ca.SX(0, 1)
         least_squares = ca.jtimes(residual, self.z, self.weight @ moved, True) if self.ny else ca.SX(self.nz, 1)
         of_ties = ca.jacobian(ties, self.z)

@@ -79,14 +79,14 @@ class Flow:
 
         The error is LOST if an integrated state is not finite.
         """
-        return float(np.max(self._of_steps(tableau, steps), initial=0.0))
+        return float(np.max(self._errors_of_steps(tableau, steps), initial=0.0))
 
     def worst(self, tableau: ButcherTableau, steps: int) -> Array:
         """Return the state (nx,) from which the error of an interval is largest."""
-        found: Array = self._x[:, np.flatnonzero(self._ended)[np.argmax(self._of_steps(tableau, steps))]]
+        found: Array = self._x[:, np.flatnonzero(self._ended)[np.argmax(self._errors_of_steps(tableau, steps))]]
         return found
 
-    def _of_steps(self, tableau: ButcherTableau, steps: int) -> Array:
+    def _errors_of_steps(self, tableau: ButcherTableau, steps: int) -> Array:
         """Return the error of every interval with this number of steps."""
         if (tableau, steps) not in self._known:
             self._known[tableau, steps] = self._errors(self._end(tableau, steps)[:, self._ended], self._fine)
@@ -106,7 +106,7 @@ class Flow:
 
         ``end`` maps (x, u, p) to the scheme's end of an interval.
         """
-        worst = np.argsort(-self._of_steps(tableau, steps))[:count]
+        worst = np.argsort(-self._errors_of_steps(tableau, steps))[:count]
         at = np.flatnonzero(self._ended)[worst]
         found = [end(self._x[:, i], self._u[:, i], self._p[:, i]) for i in at]
         return float(np.max(self._errors(np.array(found).T, self._fine[:, worst]), initial=0.0)) if found else 0.0

@@ -129,7 +129,7 @@ def growth(trials: Trials, integrator: Integrator, precision: Precision) -> Grow
     if isinstance(integrator, ImplicitRungeKutta):
         transition = trials.slopes(integrator)
     else:
-        transition = _by_steps(problem, integrator)
+        transition = _interval_derivatives(problem, integrator)
     with np.errstate(all="ignore"):
         for at, x, u in ((corner, *point) for _, corner in problem.corners for point in points(corner)):
             lengths = {dt: transition(x, u, at.p_value, dt) for dt in set(problem.dt)}
@@ -138,7 +138,7 @@ def growth(trials: Trials, integrator: Integrator, precision: Precision) -> Grow
     return Growth(tuple(float(c) for c in np.max(found, axis=0)) if found else (), precision)
 
 
-def _by_steps(problem: Problem, integrator: Integrator) -> Transition:
+def _interval_derivatives(problem: Problem, integrator: Integrator) -> Transition:
     """Return [A B] of an interval as a function, by steps of RK4, or by the discrete map."""
     step = _step(problem)
     longest = math.inf if problem.discrete else integrator.longest_step(problem)

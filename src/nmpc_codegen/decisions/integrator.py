@@ -54,7 +54,7 @@ def _choose(trials: Trials) -> Chosen:
     if problem.discrete:
         return Discrete(), (f"integrator: {Discrete.name}; the dynamics are a discrete map",)
     if problem.solved:
-        return _for_algebra(trials)
+        return _scheme_for_algebra(trials)
     default = ExplicitRungeKutta()
     stable, modes = trials.needed_steps(default)
     if stable is None or stable > MOST_ACCURATE:
@@ -126,7 +126,7 @@ def _nearest(trials: Trials, stable: int) -> Chosen:
     return chosen, (f"integrator: {chosen.name}, RK4 with steps={steps}; {reason}, and so do other schemes",)
 
 
-def _for_algebra(trials: Trials) -> Chosen:
+def _scheme_for_algebra(trials: Trials) -> Chosen:
     """Return the implicit scheme for equations that Newton's method solves."""
     found = trials.nearest_implicit[0] if trials.is_consistent else None
     chosen = found or ImplicitRungeKutta()

@@ -32,12 +32,12 @@ def scheme_warnings(trials: Trials, integrator: Decision[Integrator]) -> tuple[s
     if isinstance(scheme, ExplicitRungeKutta):
         needed, modes = trials.needed_steps(scheme)
         if needed != scheme.steps:
-            return (_of_stability(trials, scheme, needed, modes),) if len(modes.values) else ()
-        return _of_accuracy(trials, scheme, ROUGH_STATED if integrator.stated else ROUGH_EXPLICIT)
-    return _of_stages(trials, scheme) if isinstance(scheme, ImplicitRungeKutta) else ()
+            return (_warn_of_instability(trials, scheme, needed, modes),) if len(modes.values) else ()
+        return _warn_of_error(trials, scheme, ROUGH_STATED if integrator.stated else ROUGH_EXPLICIT)
+    return _warn_of_stages(trials, scheme) if isinstance(scheme, ImplicitRungeKutta) else ()
 
 
-def _of_stability(trials: Trials, scheme: ExplicitRungeKutta, needed: int | None, modes: Modes) -> str:
+def _warn_of_instability(trials: Trials, scheme: ExplicitRungeKutta, needed: int | None, modes: Modes) -> str:
     """Return the warning that an explicit scheme is unstable for the longest interval, with the steps that it needs."""
     offers = []
     found = trials.nearest_implicit[0] if needed is None or needed > MOST_EXPLICIT else None
@@ -60,7 +60,7 @@ def _of_stability(trials: Trials, scheme: ExplicitRungeKutta, needed: int | None
     )
 
 
-def _of_accuracy(trials: Trials, scheme: ExplicitRungeKutta, most: float) -> tuple[str, ...]:
+def _warn_of_error(trials: Trials, scheme: ExplicitRungeKutta, most: float) -> tuple[str, ...]:
     """Return a warning if a stable explicit scheme has a larger error than this, with an accurate alternative."""
     flow, tableau, problem = trials.flow, scheme.tableau, trials.problem
     error = flow.error(tableau, scheme.steps)
@@ -80,7 +80,7 @@ def _of_accuracy(trials: Trials, scheme: ExplicitRungeKutta, most: float) -> tup
     )
 
 
-def _of_stages(trials: Trials, scheme: ImplicitRungeKutta) -> tuple[str, ...]:
+def _warn_of_stages(trials: Trials, scheme: ImplicitRungeKutta) -> tuple[str, ...]:
     """Return a warning if an implicit scheme is inaccurate at the first plan, or does not solve its stages there."""
     algebra = trials.problem.algebra
     if algebra and not trials.is_consistent:

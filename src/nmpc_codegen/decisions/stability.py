@@ -56,7 +56,7 @@ class Modes(NamedTuple):
 
 def stated_modes(problem: Problem) -> Modes:
     """Return the modes at the first plan and at the references of the cost, at all corners of the ranges."""
-    return _of_corners(problem, points, at_ends=False)
+    return _modes_of_corners(problem, points, at_ends=False)
 
 
 def modes_at_ends(problem: Problem, end: Callable[[Array, Array, Array], Array]) -> Modes:
@@ -66,7 +66,7 @@ def modes_at_ends(problem: Problem, end: Callable[[Array, Array, Array], Array])
         ends = [(end(x, u, corner.p_value), u) for x, u in points(corner)]
         return [(x, u) for x, u in ends if np.all(np.isfinite(x))]
 
-    return _of_corners(problem, places, at_ends=True)
+    return _modes_of_corners(problem, places, at_ends=True)
 
 
 def steps_for(modes: Modes, integrator: ExplicitRungeKutta, dt: float) -> int | None:
@@ -78,7 +78,7 @@ def steps_for(modes: Modes, integrator: ExplicitRungeKutta, dt: float) -> int | 
     return next((n for n in steps if _is_stable(integrator.tableau, modes.values * (dt / n))), None)
 
 
-def _of_corners(problem: Problem, places: Callable[[Problem], list[Point]], at_ends: bool) -> Modes:
+def _modes_of_corners(problem: Problem, places: Callable[[Problem], list[Point]], at_ends: bool) -> Modes:
     """Return the modes at these places of all corners."""
     x, u, p = problem.path.x, problem.path.u, problem.path.p
     f_x = ca.Function("f_x", [x, u, p], [ca.densify(ca.jacobian(problem.dynamics(x, u, p), x))])

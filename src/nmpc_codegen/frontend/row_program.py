@@ -51,7 +51,7 @@ def program(problem: Problem) -> Program:
         tuple(lookups),
         tuple(new[value] for name, value in of_cost if name not in GENERAL),
         tuple(problem.path.scale_with_dt),
-        (_of_name(GENERAL[0], of_cost, new), _of_name(GENERAL[1], of_cost, new)),
+        (_find_step(GENERAL[0], of_cost, new), _find_step(GENERAL[1], of_cost, new)),
         tuple(float(w) for w in (np.diag(weight) if problem.path.diagonal_weight else weight.ravel())),
         tuple(_resets(problem)),
     )
@@ -73,7 +73,7 @@ def _resets(problem: Problem) -> Iterator[int]:
             yield number
 
 
-def _of_name(name: str, values: Sequence[tuple[str, int]], new: Mapping[int, int]) -> int:
+def _find_step(name: str, values: Sequence[tuple[str, int]], new: Mapping[int, int]) -> int:
     """Return the step of the value with this name, -1 if there is none."""
     return next((new[value] for found, value in values if found == name), -1)
 

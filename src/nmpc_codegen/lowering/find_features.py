@@ -13,7 +13,7 @@ from nmpc_codegen.package.features import KERNELS, Features, KernelName
 def features_of(model: Model) -> Features:
     """Return the features of the problem, options and target, those that components add, and derived ones."""
     p, parts = model.problem, model.parts
-    found = _of_problem(model)
+    found = _features_of_problem(model)
     for component in parts.components:
         found = component.adds(found)
     tuned = found.tuned and (found.set_parameter or found.set_weight or found.set_bounds or found.set_soft)
@@ -49,7 +49,7 @@ def features_of(model: Model) -> Features:
     )
 
 
-def _of_problem(model: Model) -> Features:
+def _features_of_problem(model: Model) -> Features:
     """Return the features of the problem, the options and the target."""
     p, parts, target = model.problem, model.parts, model.target
     kinds, imposed = {kind for _, kind, _, _ in p.qp_rows}, {(k, row) for k, _, _, row in p.qp_rows}

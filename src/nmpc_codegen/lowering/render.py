@@ -67,7 +67,7 @@ def _names(module: CModule) -> dict[str, Any]:
         "deviations": DEVIATIONS if module.target.board else {},
         "version": __version__,
         "member": lambda field: member(field, module.name, module.public),
-        "by_purpose": _by_purpose,
+        "by_purpose": _group_by_purpose,
         **struct_words(module.name),
         "comment": block_comment,
         "prototype": lambda entry: prototype(entry, module.name, SOLVER),
@@ -82,10 +82,10 @@ def _names(module: CModule) -> dict[str, Any]:
         "what": module.description.kind.words,
         "usage": module.description.kind.usage,
     }
-    return names | _of_estimator(module, names)
+    return names | _names_of_estimator(module, names)
 
 
-def _of_estimator(module: CModule, names: Mapping[str, Any]) -> dict[str, Any]:
+def _names_of_estimator(module: CModule, names: Mapping[str, Any]) -> dict[str, Any]:
     """Return names for the example and README.md of an estimator on measurements and controls."""
     found = module.description.estimation
     if found is None:
@@ -234,7 +234,7 @@ def struct_words(name: str) -> dict[str, Callable[[Struct], str]]:
     }
 
 
-def _by_purpose(struct: Struct) -> list[tuple[str, tuple[Field, ...]]]:
+def _group_by_purpose(struct: Struct) -> list[tuple[str, tuple[Field, ...]]]:
     """Return (heading, members) of a struct; those of the solver are grouped by purpose."""
     if struct.name != "solver":
         return [("", struct.fields)]

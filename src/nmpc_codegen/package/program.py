@@ -182,7 +182,7 @@ OF_TWO: Mapping[str, Callable[..., Any]] = {
 }
 
 
-def _of_first(function: Callable[[Array], Any]) -> Callable[[Array, Array], Any]:
+def _ignore_second(function: Callable[[Array], Any]) -> Callable[[Array, Array], Any]:
     """Return a function of the first operand as a function of both."""
     return lambda a, b: function(a)
 
@@ -210,7 +210,7 @@ VALUES: Mapping[str, Callable[[Array, Array], Any]] = {
     "erf": lambda a, b: _erf(a),
     "sign": lambda a, b: np.sign(a),
     **OF_TWO,
-    **{name: _of_first(function) for name, function in OF_ONE.items()},
+    **{name: _ignore_second(function) for name, function in OF_ONE.items()},
 }
 
 

@@ -53,7 +53,7 @@ def draw(log: Record, file: File, xy: tuple[str, str] | None, every: int, fps: f
     animation = extra("matplotlib.animation", "animate()")
     writer = "" if file is None else _writer(file, animation)
     with use_style():
-        figure, show = _over_time(log, plans, file) if xy is None else _in_plane(log, plans, xy, file)
+        figure, show = _over_time(log, plans, file) if xy is None else _draw_plane(log, plans, xy, file)
         film = _class_of(animation)(figure, show, frames=chosen, interval=1e3 / fps, blit=False, repeat=True)
         if file is not None:
             film.save(Path(file), writer=writer, fps=fps, dpi=100)
@@ -122,7 +122,7 @@ def _over_time(log: Record, plans: Plans, file: File) -> tuple[Any, Frame]:
     return figure, show
 
 
-def _in_plane(log: Record, plans: Plans, xy: tuple[str, str], file: File) -> tuple[Any, Frame]:
+def _draw_plane(log: Record, plans: Plans, xy: tuple[str, str], file: File) -> tuple[Any, Frame]:
     """Draw one state over another; obstacles are at their current places."""
     i, j = places(log, *xy, "animate()")
     figure = new_figure((WIDTH, 0.75 * WIDTH), file)

@@ -160,7 +160,7 @@ def check_range(values: NDArray[Any], low: Sequence[float], high: Sequence[float
         )
 
 
-def alike(one: NDArray[Any], other: NDArray[Any], what: str) -> tuple[NDArray[Any], NDArray[Any]]:
+def broadcast_rows(one: NDArray[Any], other: NDArray[Any], what: str) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return both arrays with the same number of rows, or raise ControllerError if that is impossible."""
     if one.shape == other.shape:
         return one, other
@@ -270,7 +270,7 @@ def rows(
     by_node = shape is not None and len(shape) == 2 and shape[1] == size and shape[0] in lengths
     taken = flat or by_node or shape == (size,) or (shape == () and (spread or size == 1))
     expected = shape if taken and shape is not None else (size,)
-    array = checked_array(value, what, real, expected, finite, also=_other_shapes(size, lengths, spread))
+    array = checked_array(value, what, real, expected, finite, also=_accepted_shapes(size, lengths, spread))
     return array.reshape(-1, size) if array.ndim else np.full((1, size), array)
 
 
@@ -289,7 +289,7 @@ def fill_by_name(
         into[places] = rows(value, f"{what}: {name!r}", into.dtype, len(places), finite=finite)[0]
 
 
-def _other_shapes(size: int, lengths: Sequence[int], spread: bool) -> Callable[[], str]:
+def _accepted_shapes(size: int, lengths: Sequence[int], spread: bool) -> Callable[[], str]:
     """Return a function that lists the shapes which rows() accepts besides (size,)."""
 
     def say() -> str:

@@ -245,7 +245,7 @@ class Setters(Memory, Telling):
             if pair is None:
                 continue
             l1, l2 = (given.rows(value, what, self._real, 1, lengths, finite=False).T for value in pair)
-            l1, l2 = given.alike(l1, l2, what)
+            l1, l2 = given.broadcast_rows(l1, l2, what)
             given.check_penalties(l1, l2, row.soft, what)
             yield number, l1, l2
 

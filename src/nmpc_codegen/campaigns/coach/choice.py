@@ -188,7 +188,7 @@ class _Course:
         return found
 
 
-def _both(mine: Campaign, other: Campaign) -> NDArray[np.bool_]:
+def _common_flights(mine: Campaign, other: Campaign) -> NDArray[np.bool_]:
     """Select flights with known costs that neither candidate loses; if there are few, also those that both lose."""
     known = np.isfinite(mine.flown.cost) & np.isfinite(other.flown.cost)
     good = ~mine.lost & ~other.lost & known
@@ -202,7 +202,7 @@ def _excess(mine: Campaign) -> float:
 
 def _relative_cost(mine: Campaign, other: Campaign) -> float:
     """Return the median over the flights of the relative difference in cost."""
-    both = _both(mine, other)
+    both = _common_flights(mine, other)
     if not both.any():
         return 0.0
     a, b = mine.flown.cost[both], other.flown.cost[both]

@@ -339,13 +339,13 @@ class _Reader:
             raise ControllerError(f"{what}: there is no {name!r}; there is {', '.join(known) or 'none'}")
         return found
 
-    def _of(self, kind: Kind) -> PackageDescription:
+    def _description_of(self, kind: Kind) -> PackageDescription:
         """Return the description of the package that declares data of this kind: the plant's or the controller's."""
         return (self._plant if kind == "plant" and self._plant is not None else self._controller).description
 
     def _declared_values(self, kind: Kind, elements: list[str]) -> Array:
         """Return the declared values of parameters or references."""
-        described = self._of(kind)
+        described = self._description_of(kind)
         if kind == "reference":
             values = {r.name: r.reference for r in (*described.residuals_N, *described.residuals)}
         else:
@@ -356,7 +356,7 @@ class _Reader:
         """Raise ControllerError if a box exceeds the bounds of a parameter; normal variables are truncated to them."""
         ends = {
             e: (low, high)
-            for s in self._of(kind).parameters
+            for s in self._description_of(kind).parameters
             for e, low, high in zip(s.elements, s.low, s.high, strict=False)
         }
         for i, v in enumerate(self.variables[-len(elements) :], len(self.variables) - len(elements)):

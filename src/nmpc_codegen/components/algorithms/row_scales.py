@@ -103,13 +103,13 @@ def _sizes(stage: Stage, problem: Problem, scale: Array) -> tuple[float, float]:
     if stage.cost_rate is not None:
         general = general + stage.dt * stage.cost_rate
     bend = ca.diag(ca.densify(cost.gauss_newton)) + ca.diag(ca.densify(ca.hessian(general, cost.z)[0]))
-    curvature, slope = _at_start(cost, stage, problem, bend, ca.gradient(general, cost.z))
+    curvature, slope = _magnitudes_at_start(cost, stage, problem, bend, ca.gradient(general, cost.z))
     size = scale[: slope.size]
     largest = [float(np.max(v, initial=0.0, where=np.isfinite(v))) for v in (curvature * size**2, slope * size)]
     return largest[0], largest[1]
 
 
-def _at_start(cost: StageCost, stage: Stage, problem: Problem, *expressions: Expression) -> list[Array]:
+def _magnitudes_at_start(cost: StageCost, stage: Stage, problem: Problem, *expressions: Expression) -> list[Array]:
     """Return magnitudes of expressions of a stage at the initial state, control references and declared data."""
     x, u = problem.x_initial, problem.reference_controls if stage.nu else np.zeros(0)
     values = problem.node_values(x, u)

@@ -72,7 +72,7 @@ def solve_equations(
     pattern = ca.sparsify(ca.jacobian(r, v)).sparsity()
     matched = _match(pattern)
     if len(matched) < len(unknowns):
-        raise ProblemError(_of_structure(pattern, matched, unknowns, equations))
+        raise ProblemError(_describe_structure(pattern, matched, unknowns, equations))
     values: list[Any] = [each.symbol for each in unknowns]
     unsolved: list[int] = []
     left: list[int] = []
@@ -148,7 +148,7 @@ def _inverse_pattern(pattern: Any) -> Array:
     return np.asarray(reach[:, np.argsort(rows)], dtype=float)
 
 
-def _of_structure(
+def _describe_structure(
     pattern: Any, matched: dict[int, int], unknowns: Sequence[Unknown], equations: Sequence[Equation]
 ) -> str:
     """Describe which variable has no equation of its own, and which equation remains."""

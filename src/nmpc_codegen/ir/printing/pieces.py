@@ -123,11 +123,11 @@ class _Pieces:
         for n in range(len(self.pieces)):
             names = [name for name, place in self.crossing.items() if place == n]
             if names:
-                lines.append(f"    /* {self._what(n)} */")
+                lines.append(f"    /* {self._describe_stages(n)} */")
                 lines += wrap_statement("    ", f"{self.style.real} {', '.join(names)};")
         return "\n".join([*lines, f"}} {self.struct};"])
 
-    def _what(self, n: int) -> str:
+    def _describe_stages(self, n: int) -> str:
         """Return the stages of a piece in words."""
         notes = [step.note for piece in self.pieces[: n + 1] for step in piece if step.note and not step.target]
         own = [step.note for step in self.pieces[n] if step.note and not step.target]
@@ -180,7 +180,7 @@ class _Pieces:
         values = [f"{'' if own else 'const '}{self.struct} *{self.pointer}"] if self._crosses(n) else []
         arguments = [*parameters(self._ports(n), self.kernel.writes, self.style), *values]
         head = wrapped_head(f"static void {self._name(n)}({', '.join(arguments)})")
-        return "\n".join([f"/* {self.kernel.name}: {self._what(n)} */", *head, "{", *lines, "}"])
+        return "\n".join([f"/* {self.kernel.name}: {self._describe_stages(n)} */", *head, "{", *lines, "}"])
 
 
 def _read(piece: Iterable[PieceStep]) -> Collection[str]:

@@ -72,7 +72,7 @@ def write(
     folder = _resolve(directory)
     with _naming(folder, "the folder cannot be created"):
         folder.mkdir(parents=True, exist_ok=True)
-    with _alone(folder):
+    with _lock_folder(folder):
         changes, kept = _changes(folder, files, force)
         stale = _stale(folder, files, changes)
         try:
@@ -127,7 +127,7 @@ def _resolve(directory: str | os.PathLike[str]) -> Path:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def _lock_folder(folder: Path) -> Iterator[None]:
     """Lock the folder against other exports of this user.
 
     There are at most 256 lock files, which are never deleted, because a deleted one could be locked twice.

@@ -156,14 +156,14 @@ def apply_operator(word: str, *values: Range | None) -> Range | None:
     if None in values:
         return None
     if word in ("/", "%", "&"):
-        return _of_counts(word, *values)  # type: ignore[arg-type]
+        return _range_of_quotient(word, *values)  # type: ignore[arg-type]
     if (word, len(values)) not in _MONOTONE:
         return None
     results = [int(_MONOTONE[word, len(values)](*ends)) for ends in product(*values)]  # type: ignore[arg-type]
     return min(results), max(results)
 
 
-def _of_counts(word: str, a: Range, b: Range) -> Range | None:
+def _range_of_quotient(word: str, a: Range, b: Range) -> Range | None:
     """Return the range of a quotient or remainder, or of the last bit of a number.
 
     The dividend must be nonnegative, the divisor a positive constant.

@@ -27,7 +27,7 @@ _MATH_CONSTANT = re.compile(r"M_[A-Z0-9_]+|FP_\w+|\w*_t")
 
 def local_names(problem: Problem, others: Iterable[str]) -> LocalNames:
     """Return the names of a problem; ``others`` holds macros, kernels and tables of its package."""
-    taken = _of_every_unit().union(others)
+    taken = _reserved_names().union(others)
 
     def free(names: Iterable[str]) -> tuple[str, ...]:
         spelled = (c_identifier(name) for name in names)
@@ -40,7 +40,7 @@ def local_names(problem: Problem, others: Iterable[str]) -> LocalNames:
     return LocalNames(
         free((*own, *_inner_names(problem, known))),
         free(problem.control_names),
-        free(_of_data(name) for name in problem.parameter_names),
+        free(_names_of_parameters(name) for name in problem.parameter_names),
         free(problem.path.y_names),
         free(problem.terminal.y_names),
         taken,
@@ -48,7 +48,7 @@ def local_names(problem: Problem, others: Iterable[str]) -> LocalNames:
     )
 
 
-def _of_data(name: str) -> str:
+def _names_of_parameters(name: str) -> str:
     """Return names of added parameters: begins_F, interval_before."""
     return name.replace("block start(", "begins_").removesuffix(")").replace(" ", "_")
 
@@ -64,7 +64,7 @@ def _inner_names(problem: Problem, known: Collection[str]) -> Iterator[str]:
 
 
 @cache
-def _of_every_unit() -> frozenset[str]:
+def _reserved_names() -> frozenset[str]:
     """Return keywords, names of the C library, and names that the parts define."""
     functions = {operation.function for operation in OPERATIONS.values()} - {""}
     macros = {macro.name for macro in arithmetic("double")} | {status.name for status in Status}

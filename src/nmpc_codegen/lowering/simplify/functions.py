@@ -54,9 +54,9 @@ def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
         around = _variables(text, body)
         for place, node in enumerate(body):
             if node.kind == "if":
-                yield from _of_choice(text, node, above, around, known)
+                yield from _simplify_if(text, node, above, around, known)
             elif node.kind == "loop":
-                yield from _of_loop(text, node, above, known)
+                yield from _simplify_loop(text, node, above, known)
             elif node.kind == "leave" and body[place + 1 :]:
                 yield Edit(node.end, body[-1].end, "")
             above = node
@@ -65,7 +65,7 @@ def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
             yield Edit(*whole_lines(text, body[-1], None), "")
 
 
-def _of_choice(text: str, node: Node, above: Node | None, around: set[str], known: Constants) -> Iterator[Edit]:
+def _simplify_if(text: str, node: Node, above: Node | None, around: set[str], known: Constants) -> Iterator[Edit]:
     """Yield edits that simplify an `if` whose condition is constant, or one of whose branches is empty."""
     chain = [node]
     while chain[-1].other is not None:
@@ -140,7 +140,7 @@ def _unindent(text: str, block: Node, around: set[str]) -> str:
     return "\n".join(line.removeprefix("    ") for line in lines).lstrip(" ")
 
 
-def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Iterator[Edit]:
+def _simplify_loop(text: str, node: Node, above: Node | None, known: Constants) -> Iterator[Edit]:
     """Yield edits of a loop that never runs or is empty, and of its condition if constants decide operands."""
     head = in_line(text[slice(*node.head)])
     loop = _LOOP.match(head)

@@ -43,7 +43,7 @@ def assemble(module: CModule) -> tuple[Item, ...]:
         *_elementary(module),
         section("kernels"),
         *kernel_items(module.routines, style),
-        *_of_parts(module),
+        *_items_of_parts(module),
     )
 
 
@@ -92,7 +92,7 @@ def _elementary(module: CModule) -> list[Item]:
     return [section("elementary functions"), *(replace(item, state="ready") for item in items)]
 
 
-def _of_parts(module: CModule) -> Iterator[Item]:
+def _items_of_parts(module: CModule) -> Iterator[Item]:
     """Yield the items of the parts and of their includes, with the calls of hooks."""
     hooked_parts = module.hooked_parts
 

@@ -110,13 +110,13 @@ def _free(items: Sequence[Item]) -> list[Item]:
     """Return the functions that may be changed, because only functions of parts call them."""
     fixed = {name for item in items if item.state == "ready" for name in item.calls}
     fixed |= {name for item in items if item.kind in ("table", "directive", "type") for name in item.reads}
-    fixed = fixed.union(*(_values(item.text) for item in items))
+    fixed = fixed.union(*(_uncalled_names(item.text) for item in items))
     functions = (item for item in items if item.is_prunable)
     return [item for item in functions if item.name not in fixed and not item.is_entry]
 
 
 @lru_cache(maxsize=16384)
-def _values(text: str) -> frozenset[str]:
+def _uncalled_names(text: str) -> frozenset[str]:
     """Return the names that a text uses without a call; a function among them is used as a pointer."""
     return frozenset(_VALUE.findall(blank(text)))
 

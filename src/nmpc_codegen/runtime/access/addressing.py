@@ -147,7 +147,7 @@ class Addressing(Iterate):
             self._read(value, f"{which} bound of {name!r}", len(groups), lengths, finite=False)
             for which, value in (("lower", lower), ("upper", upper))
         )
-        yield from self._bounds_of_rows(name, groups, *given.alike(low, high, f"bounds of {name!r}"))
+        yield from self._bounds_of_rows(name, groups, *given.broadcast_rows(low, high, f"bounds of {name!r}"))
 
     def _bounds_of_rows(
         self, name: str, groups: Sequence[Sequence[int]], low: Array, high: Array

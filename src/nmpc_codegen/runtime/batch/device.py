@@ -87,10 +87,10 @@ def kernel_text(package: CompiledPackage, begin: str) -> str:
         files[f"{name}.c"],
     ]
     lines = [line for line in "\n".join(text).split("\n") if not line.startswith("#include")]
-    return "\n".join(keep_calls(lines)) + "\n"
+    return "\n".join(mark_noinline(lines)) + "\n"
 
 
-def keep_calls(lines: list[str]) -> list[str]:
+def mark_noinline(lines: list[str]) -> list[str]:
     """Mark the large functions of a text, which begin and end in the first column, as not to be inlined."""
     found = list(lines)
     begin = 0

@@ -132,7 +132,7 @@ class Driver:
         """
         count = len(memory) // stride if index is None else len(index)
         status = np.zeros(count, np.int32)
-        threads = self._worth(function, count)
+        threads = self._threads_for(function, count)
         taken = np.zeros((threads, 8), np.int64)
         taken[:, 0] = [count * t // threads for t in range(threads)]
         call = self.ffi.new("batch_call_t *")
@@ -157,7 +157,7 @@ class Driver:
         self._took[function] = (time.perf_counter() - begin) * threads / max(1, count)
         return status
 
-    def _worth(self, function: str | None, count: int) -> int:
+    def _threads_for(self, function: str | None, count: int) -> int:
         """Return the number of threads for a call: each must work longer than it takes to wake it, by the last call."""
         return max(1, min(self.threads, count, round(count * self._took.get(function, UNKNOWN) / WAKING)))
 

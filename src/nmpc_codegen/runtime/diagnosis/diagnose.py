@@ -47,7 +47,7 @@ def diagnosis(ctrl: Memory, measured: Array, solved: bool) -> str:
     stale = [_stale(ctrl)] if ctrl.stats.stale_hessian else []
     if status == Status.OK:
         spoilt = [f"since then: {text}" for text in _plan(ctrl)]
-        return "\n".join([str(status), *spoilt, *_left_by_samples(ctrl), *stale])
+        return "\n".join([str(status), *spoilt, *_explain_plan(ctrl), *stale])
     broken = next(filter(None, (list(search) for search in _broken(ctrl, measured))), [])
     warned = [f"{WARNED}{text}" for text in _warnings(ctrl, solved) if not (broken and text.startswith(NOT_FINITE))]
     endless = [] if broken else [*_runaway(ctrl)]
@@ -81,7 +81,7 @@ def solves_exactly(ctrl: Memory) -> bool:
     return ctrl.description.options["hessian"] == "GaussNewton" and "in_solve" in ctrl.description.members("curved")
 
 
-def _left_by_samples(ctrl: Memory) -> list[str]:
+def _explain_plan(ctrl: Memory) -> list[str]:
     """Explain a plan that is not optimal, which may be due to the steps of the samples."""
     if not np.any(ctrl.member("samples")) or not has_qp(ctrl) or not ctrl.kkt().relative > FAR_FROM_OPTIMAL:
         return []
