@@ -419,7 +419,7 @@ def test_scalars_per_node_need_no_second_dimension() -> None:
     with pytest.raises(ControllerError, match=r"has shape \(5,\); expected \(1,\), or a number$"):
         ctrl.set_parameter("m", [1, 2, 3, 4, 5], node=1)
     header = generate(ocp)["single.h"]
-    assert "weight of the path residual; that is multiplied by dt_k in use" in header
+    assert "weight of the path residual; that is multiplied by dt_k where it is used" in header
 
 
 def test_names_of_other_tools_are_explained(toy: Controller) -> None:

@@ -301,7 +301,7 @@ def test_units_of_time_are_printable(unit: object) -> None:
 def test_files_of_a_package_speak_of_the_unit_of_time() -> None:
     files = generate(tank())
     assert "#define TANK_DT 0.2 /* h: time between samples */" in files["tank.h"]
-    assert "/* Every 0.2 h: " in files["README.md"]
+    assert "/* Call it every 0.2 h. " in files["README.md"]
     assert "10 intervals over 2 h" in files["README.md"]
 
 

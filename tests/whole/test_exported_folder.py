@@ -119,7 +119,7 @@ def test_readme_begins_with_the_call_sequence(folder: Path, tmp_path: Path) -> N
     warnings = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
     run([compiler, *warnings, f"-I{folder}", "-c", "calls.c", "-o", "calls.o"], tmp_path)
     places = [
-        readme.index(word) for word in ("crane_step(", "    cc -std=c99", "| `crane.h` |", "| p | m |", "Chosen by")
+        readme.index(word) for word in ("crane_step(", "    cc -std=c99", "| `crane.h` |", "| p | m |", "has chosen")
     ]
     assert places == sorted(places)
     assert set(re.findall(r"^\| `([\w.]+)` \|", readme, flags=re.MULTILINE)) == {file.name for file in folder.iterdir()}
