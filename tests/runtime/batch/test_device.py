@@ -24,7 +24,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.errors import BuildError, ExtraError
 from nmpc_codegen.runtime.batch.cuda import BEGIN
-from nmpc_codegen.runtime.batch.device import DeviceBatch, check_package, keep_calls, kernel_text
+from nmpc_codegen.runtime.batch.device import DeviceBatch, check_package, mark_noinline, kernel_text
 from nmpc_codegen.runtime.batch.nvrtc import compile_kernel
 from nmpc_codegen.runtime.native import native
 from nmpc_codegen.targets import PORTABLE
@@ -150,7 +150,7 @@ def test_only_large_functions_keep_their_calls() -> None:
     body = ["{", *["    x();"] * 9, "}"]
     lines = ["static void f(int a,", "    int b)", *body, "", "static inline int g(void)", *body]
     lines += ["", "status_t API(h)(void)", *body, "", "static int small(void)", "{", "    return 1;", "}"]
-    found = keep_calls(lines)
+    found = mark_noinline(lines)
     assert [line for line in found if "__noinline__" in line] == [
         "static __noinline__ void f(int a,",
         "__noinline__ status_t API(h)(void)",
