@@ -24,7 +24,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.errors import BuildError, ExtraError
 from nmpc_codegen.runtime.batch.cuda import BEGIN
-from nmpc_codegen.runtime.batch.device import DeviceBatch, check_package, mark_noinline, kernel_text
+from nmpc_codegen.runtime.batch.device import DeviceBatch, check_package, kernel_text, mark_noinline
 from nmpc_codegen.runtime.batch.nvrtc import compile_kernel
 from nmpc_codegen.runtime.native import native
 from nmpc_codegen.targets import PORTABLE
