@@ -107,7 +107,7 @@ static status_t judge(solver_t *s, status_t status)
     if (NALG) {
         require_algebraic(s);
     }
-    if (EXACT_QP && status == OK) { /* its solution has no gaps */
+    if (EXACT_QP && status == OK) { /* the solution of the QP has no gaps */
         s->stats.residual = R(0);
     }
     if (SADDLES && !ITERATES && (status == OK || status == RELAXED)) { /* nothing else measures a plan after a probe */

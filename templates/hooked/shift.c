@@ -11,7 +11,7 @@ static void shift_before_prepare(solver_t *s)
         if (SHIFTS_BACK) {
             (void)memcpy(s->first_control, s->u[0], sizeof s->first_control);
         }
-        (void)API(shift)(s); /* it refuses only a solver that is not initialised */
+        (void)API(shift)(s); /* the shift refuses only a solver that is not initialised */
         if (s->failures >= SECOND_FAILURE) { /* states that the shift integrates may be as wrong as the failed plan */
             start_at_measured(s);
         }

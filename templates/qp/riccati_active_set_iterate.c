@@ -63,7 +63,7 @@ static int qp_side_of_member(const qp_t *q, int m, real_t rounding)
 {
     const int c = NV + m, side = q->side[c];
     const real_t mult = side > 0 ? q->mult[c] : -q->mult[c];
-    if (mult > q->penalty[m] + rounding) { /* it becomes violated */
+    if (mult > q->penalty[m] + rounding) { /* the row becomes violated */
         return side > 0 ? ABOVE : BELOW;
     }
     if (mult >= -rounding) {

@@ -6,12 +6,12 @@ import ast
 import re
 from pathlib import Path
 
-from tests.repository.test_architecture import ROOT, SOURCE
+from tests.repository.test_architecture import ROOT, SOURCE, TEMPLATES
 
 #: Idiom -> term to take.
 IDIOMS = dict(re.findall(r'^\| "(.+?)" \| (.+?) \|$', (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.M))
 PATTERN = re.compile(rf"(?<![`\w])(?:{'|'.join(map(re.escape, IDIOMS))})(?![`\w])", re.IGNORECASE)
-COMMENT = {".py": r"#.*", ".c": r"/\*.*?\*/", ".h": r"/\*.*?\*/", ".jinja": r"/\*.*?\*/"}
+COMMENT = {".py": r"#.*", **dict.fromkeys((".c", ".h", ".jinja"), r"/\*.*?\*/")}
 NODES = (ast.Module, ast.ClassDef, ast.FunctionDef)
 
 
@@ -29,7 +29,7 @@ def idioms_in(path: Path) -> list[str]:
 
 
 def test_no_text_contains_an_idiom() -> None:
-    files = [path for folder in (SOURCE, ROOT / "templates") for path in folder.rglob("*") if path.suffix in COMMENT]
+    files = [path for folder in (SOURCE, TEMPLATES) for path in folder.rglob("*") if path.suffix in COMMENT]
     found = {str(path): idioms for path in files if "lanes" not in str(path) and (idioms := idioms_in(path))}
     assert {path: [(idiom, IDIOMS[idiom.lower()]) for idiom in idioms] for path, idioms in found.items()} == {}
 

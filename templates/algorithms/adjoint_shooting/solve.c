@@ -116,7 +116,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     if (PULLED_ROWS && status != OK) {
         pull_plan_back(s);
     }
-    s->shooting.pairs = 0; /* they belong to other terms and penalties */
+    s->shooting.pairs = 0; /* the pairs belong to other terms and penalties */
     s->solved = 1;
     return finish(s, keep_finite(s, status));
 }

@@ -103,7 +103,7 @@ static status_t feedback_here(solver_t *s)
             s->near.trusted = 0;
         }
     }
-    if (LAGRANGIAN && status == RELAXED) { /* its multipliers are those of the penalty, not of a plan */
+    if (LAGRANGIAN && status == RELAXED) { /* a relaxed QP has the multipliers of the penalty */
         forget_multipliers(s);
     }
     return status;

@@ -75,8 +75,8 @@ static void take_multipliers(solver_t *s)
         }
     }
     if (CURVED || LAGRANGIAN || STAGE_MULTIPLIERS) {
-        /* They move towards those of the QP by the fraction that the step took, because after a short step the QP's
-         * multipliers may be wrong. */
+        /* Multipliers move towards those of the QP by the fraction that the step took, because after a short step the
+         * multipliers of the QP may be wrong. */
         const trial_t *q = &s->trial;
         for (int k = 0; k < N; k++) {
             for (int j = 0; j < NU; j++) {

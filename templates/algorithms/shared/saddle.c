@@ -347,7 +347,7 @@ static int leave_saddle(solver_t *s)
     (void)memcpy(q->x, s->x, sizeof q->x);
     (void)memcpy(q->u, s->u, sizeof q->u);
     if (!HAS_QP) {
-        /* its plan may have large gaps */
+        /* the plan of an algorithm without a QP may have large gaps */
         follow_controls(s);
     }
     const real_t cost = cost_of_plan(s);

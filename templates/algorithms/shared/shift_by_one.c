@@ -9,7 +9,7 @@ static void shift_rows(solver_t *s)
             if (row_node(n) > row_node(m) && row_id(n) == row_id(m)) {
                 source[m] = n;
             }
-            if (IDLE_END && row_node(n) == N - 1 && !row_is_state(n)) { /* its multiplier belongs to an idle control */
+            if (IDLE_END && row_node(n) == N - 1 && !row_is_state(n)) { /* multiplier of an idle control */
                 source[m] = m;
             }
         }

@@ -32,7 +32,7 @@ class Osqp(QpSolver):
     """The osqp package generates a solver of the condensed QP, which is an oracle for build() only.
 
     Args:
-        max_iterations: largest number of its iterations.
+        max_iterations: largest number of iterations of a solution.
         eps: absolute and relative tolerance of its residuals.
     """
 
@@ -124,8 +124,8 @@ class Osqp(QpSolver):
                 for path in sorted(Path(temporary).rglob("*.[ch]"))
                 if path.name != "emosqp.c"
             }
-        names = {"prefix": prefix, "rows": nv + ng, "columns": nv, "P": nv * (nv + 1) // 2, "A": nv * (1 + ng)}
-        names["rho"] = RHO
+        sizes = {"rows": nv + ng, "columns": nv, "P": nv * (nv + 1) // 2, "A": nv * (1 + ng)}
+        names = {"prefix": prefix, "rho": RHO, **sizes}
         files[f"osqp/{prefix}_osqp.c"] = WRAPPER % names
         return {path: _without_dates(text) for path, text in files.items()}
 
